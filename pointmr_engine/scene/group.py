@@ -1,0 +1,117 @@
+"""Groups and instances: a directed acyclic graph of any depth, never flattened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pointmr_engine.scene.errors import SceneError
+from pointmr_engine.scene.mesh import Mesh
+
+# Ray visibility and object flags, one byte per instance; combined along a path by AND (visibility) and OR (HOLDOUT).
+CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW, VOLUME_SCATTER, HOLDOUT = 1, 2, 4, 8, 16, 32, 64
+VISIBLE = CAMERA | DIFFUSE | GLOSSY | TRANSMISSION | SHADOW | VOLUME_SCATTER
+
+
+@dataclass(eq=False)
+class Instances:
+    """N placements of Groups inside a parent Group, as arrays.
+
+    groups: the Groups placed; group_index (N,) int32 into it, None meaning all 0.
+    transforms (N, 3, 4) float64, parent_from_group (affine, the last row 0 0 0 1 left out).
+    What follows is None, or one value per instance (the first axis may also be 1 for all):
+    visibility (N,) uint8, the bits above; None: VISIBLE, no holdout
+    object_index (N,) int32: the object's pass index, -1 to inherit the parent's; None inherits
+    seed (N,) uint32: source of Object Info's random value; 0 inherits; seeds combine along a path by hashing
+    color (N, 4) float32: Object Info's colour; None inherits (white at the root)
+    attributes: name -> (N, channels) float32, read by Attribute nodes of type "instancer" or "object".
+    name: what the user calls it, for messages.
+    """
+
+    groups: tuple[Group, ...]
+    transforms: np.ndarray
+    group_index: np.ndarray | None = None
+    visibility: np.ndarray | None = None
+    object_index: np.ndarray | None = None
+    seed: np.ndarray | None = None
+    color: np.ndarray | None = None
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)
+    name: str = ""
+
+    def __len__(self) -> int:
+        return len(self.transforms)
+
+
+def instance(group: Group, transform: np.ndarray | None = None, **values) -> Instances:
+    """One placement of `group`; transform 4x4 or 3x4 parent_from_group, identity by default.
+
+    Further keyword arguments are those of Instances, given as one value each.
+    """
+    m = np.eye(4) if transform is None else np.asarray(transform, np.float64)
+    dtypes = {"visibility": np.uint8, "object_index": np.int32, "seed": np.uint32, "color": np.float32}
+    arrays = {k: np.asarray([v], dtypes[k]) if k in dtypes else v for k, v in values.items()}
+    return Instances((group,), np.ascontiguousarray(m[None, :3, :4]), **arrays)
+
+
+@dataclass(eq=False)
+class Group:
+    """Meshes (in the group's own space) and instances of other groups. Identity is the object: share it to instance it."""
+
+    name: str
+    meshes: list[Mesh] = field(default_factory=list)
+    instances: list[Instances] = field(default_factory=list)
+
+
+def unique_groups(root: Group) -> list[Group]:
+    """All groups reachable from `root`, each once, children before parents (root last).
+
+    Raises SceneError when a group contains itself, naming the cycle.
+    """
+    done: dict[int, Group] = {}
+    on_path: dict[int, Group] = {}
+    stack: list[tuple[Group, Iterator[Group]]] = []
+
+    def children(g: Group) -> Iterator[Group]:
+        return (c for i in g.instances for c in i.groups)
+
+    on_path[id(root)] = root
+    stack.append((root, children(root)))
+    while stack:
+        g, rest = stack[-1]
+        child = next(rest, None)
+        if child is None:
+            stack.pop()
+            del on_path[id(g)]
+            done[id(g)] = g
+        elif id(child) in on_path:
+            names = [p.name for p in on_path.values()]
+            names = names[names.index(child.name):] + [child.name]
+            raise SceneError("group contains itself: " + " -> ".join(names))
+        elif id(child) not in done:
+            on_path[id(child)] = child
+            stack.append((child, children(child)))
+    return list(done.values())
+
+
+def count_triangles(root: Group) -> tuple[int, int, int]:
+    """(unique triangles, instanced triangles, depth of nesting), as exact Python integers."""
+    total: dict[int, int] = {}
+    depth: dict[int, int] = {}
+    unique: dict[int, int] = {}
+    for g in unique_groups(root):
+        own = 0
+        for m in g.meshes:
+            own += len(m.triangles)
+            unique[id(m.triangles)] = len(m.triangles)
+        deepest = 0
+        for inst in g.instances:
+            used = np.bincount(
+                np.zeros(len(inst), np.int64) if inst.group_index is None else inst.group_index,
+                minlength=len(inst.groups),
+            )
+            own += sum(int(n) * total[id(c)] for n, c in zip(used, inst.groups, strict=True))
+            deepest = max([deepest] + [depth[id(c)] + 1 for c in inst.groups])
+        total[id(g)], depth[id(g)] = own, deepest
+    return sum(unique.values()), total[id(root)], depth[id(root)]

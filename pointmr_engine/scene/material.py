@@ -1,0 +1,36 @@
+"""Materials: a node graph and what the engine must know beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pointmr_engine.scene.graph import Graph, Link, Node
+
+
+@dataclass(eq=False)
+class Material:
+    """A surface material. Identity is the object: share it between meshes.
+
+    pass_index feeds the Material Index pass. emission_sampling: "AUTO", "NONE", "FRONT", "BACK", "FRONT_BACK",
+    which sides of an emissive surface are sampled as a light.
+    """
+
+    name: str
+    graph: Graph = field(default_factory=Graph)
+    pass_index: int = 0
+    emission_sampling: str = "AUTO"
+    bump_method: str = "BUMP"
+
+
+def principled(name: str = "Material", **inputs) -> Material:
+    """A material of one Principled BSDF; inputs are its sockets in lower case with underscores, e.g. base_color."""
+    graph = Graph({"bsdf": Node("principled", inputs)}, surface=Link("bsdf", "bsdf"))
+    return Material(name, graph)
+
+
+def emission(name: str = "Emission", color=(1.0, 1.0, 1.0), strength: float = 1.0) -> Material:
+    """A material that only emits: radiance color * strength, in W/(m^2 sr)."""
+    graph = Graph(
+        {"emission": Node("emission", {"color": color, "strength": strength})}, surface=Link("emission", "emission")
+    )
+    return Material(name, graph)

@@ -1,0 +1,92 @@
+"""Leaf shaders: what a material program yields, before view-dependent expansion into lobes.
+
+A program turns surface points into leaves; `shading.lobes` turns leaves, view and normals into BSDF lobes. A leaf is what
+the surface alone decides, and can be stored with a sample of a hierarchy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# kinds
+(
+    PRINCIPLED,
+    DIFFUSE,
+    GLOSSY,
+    GLASS,
+    REFRACTION,
+    TRANSPARENT,
+    TRANSLUCENT,
+    EMISSION,
+    SHEEN,
+    SUBSURFACE,
+    HOLDOUT,
+    BACKGROUND,
+    METALLIC,
+) = range(13)
+
+# Columns of a leaf's block, a float32 array (m, len(columns)), m = number of points, or 1 where nothing varies.
+# The first three are always the weight (product of the mix factors above it, as RGB).
+_WEIGHT = ("weight_r", "weight_g", "weight_b")
+
+
+def _rgb(name: str) -> tuple[str, str, str]:
+    return (f"{name}_r", f"{name}_g", f"{name}_b")
+
+
+COLUMNS: dict[int, tuple[str, ...]] = {
+    PRINCIPLED: (
+        *_WEIGHT,
+        *_rgb("base_color"),
+        "metallic",
+        "roughness",
+        "ior",
+        "alpha",
+        "diffuse_roughness",
+        "subsurface_weight",
+        "specular_ior_level",
+        *_rgb("specular_tint"),
+        "anisotropic",
+        "anisotropic_rotation",
+        "transmission_weight",
+        "coat_weight",
+        "coat_roughness",
+        "coat_ior",
+        *_rgb("coat_tint"),
+        "sheen_weight",
+        "sheen_roughness",
+        *_rgb("sheen_tint"),
+        *_rgb("emission"),  # emission_color * emission_strength
+        "thin_film_thickness",
+        "thin_film_ior",
+    ),
+    DIFFUSE: (*_WEIGHT, "roughness"),  # weight includes the colour, here and below
+    GLOSSY: (*_WEIGHT, "roughness", "anisotropy", "rotation"),
+    GLASS: (*_WEIGHT, "roughness", "ior"),
+    REFRACTION: (*_WEIGHT, "roughness", "ior"),
+    TRANSPARENT: _WEIGHT,
+    TRANSLUCENT: _WEIGHT,
+    EMISSION: _WEIGHT,  # radiance
+    SHEEN: (*_WEIGHT, "roughness"),
+    SUBSURFACE: _WEIGHT,
+    HOLDOUT: _WEIGHT,
+    BACKGROUND: _WEIGHT,  # radiance
+    METALLIC: (*_WEIGHT, *_rgb("base_color"), *_rgb("edge_tint"), "roughness", "anisotropy", "rotation"),
+}
+
+# variants, by name, that a leaf may carry in `distribution`
+DISTRIBUTIONS = ("multi_ggx", "ggx", "beckmann", "sharp", "ashikhmin_shirley")
+
+
+@dataclass
+class Leaf:
+    """One leaf shader over a batch of points. Normals (n, 3) float32 or None for the point's own shading normal."""
+
+    kind: int
+    block: np.ndarray  # (n or 1, len(COLUMNS[kind])) float32
+    normal: np.ndarray | None = None
+    coat_normal: np.ndarray | None = None
+    tangent: np.ndarray | None = None
+    distribution: str = "multi_ggx"

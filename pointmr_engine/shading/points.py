@@ -1,0 +1,51 @@
+"""Surface points: what a material program reads, a batch at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class SurfacePoints:
+    """N surface points of one material, as arrays; serves ray hits and samples of a hierarchy alike.
+
+    A program fills only what it asked for (`Program.needs`); the rest stays None. World space unless said otherwise.
+    """
+
+    count: int
+    position: np.ndarray | None = None  # (N, 3) float64
+    normal: np.ndarray | None = None  # (N, 3) float32 shading normal, turned to the viewer's side
+    geometric_normal: np.ndarray | None = None  # (N, 3) float32, turned to the viewer's side
+    smooth_normal: np.ndarray | None = None  # (N, 3) float32 shading normal before turning
+    incoming: np.ndarray | None = None  # (N, 3) float32, unit, from the point to the viewer
+    backfacing: np.ndarray | None = None  # (N,) bool
+    generated: np.ndarray | None = None  # (N, 3) float32, 0..1 over the mesh's box
+    local: np.ndarray | None = None  # (N, 3) float32, position in the object's space
+    world_from_part: np.ndarray | None = None  # (N, 3, 4) float64
+    uvs: dict[str, np.ndarray] = field(default_factory=dict)  # layer -> (N, 2) float32; "" is the active one
+    tangents: dict[str, np.ndarray] = field(default_factory=dict)  # layer -> (N, 4) float32: tangent, bitangent sign
+    uv_footprints: dict[str, np.ndarray] = field(default_factory=dict)  # layer -> (N,) float32: UV units per footprint
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32 (missing: zeros)
+    instance_attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32
+    footprint: np.ndarray | None = None  # (N,) float32, width of the ray's footprint at the point, metres
+    barycentric: np.ndarray | None = None  # (N, 2) float32
+    object_location: np.ndarray | None = None  # (N, 3) float32
+    object_color: np.ndarray | None = None  # (N, 4) float32
+    object_index: np.ndarray | None = None  # (N,) int32
+    object_random: np.ndarray | None = None  # (N,) float32
+    material_index: int = 0
+    # the ray that came here
+    ray_kind: np.ndarray | None = None  # (N,) uint8: bits RAY_* below
+    ray_length: np.ndarray | None = None  # (N,) float32
+    ray_depth: np.ndarray | None = None  # (N,) int32, and by kind:
+    diffuse_depth: np.ndarray | None = None
+    glossy_depth: np.ndarray | None = None
+    transmission_depth: np.ndarray | None = None
+    transparent_depth: np.ndarray | None = None
+    camera_from_world: np.ndarray | None = None  # (3, 4) float64
+    window: np.ndarray | None = None  # (N, 2) float32, position in the image, 0..1
+
+
+RAY_CAMERA, RAY_SHADOW, RAY_DIFFUSE, RAY_GLOSSY, RAY_SINGULAR, RAY_REFLECTION, RAY_TRANSMISSION = 1, 2, 4, 8, 16, 32, 64
