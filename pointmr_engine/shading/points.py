@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,6 +37,9 @@ class SurfacePoints:
     object_index: np.ndarray | None = None  # (N,) int32
     object_random: np.ndarray | None = None  # (N,) float32
     material_index: int = 0
+    # moved(offset (N, 3) float32, world): the points there, in the plane of each one's triangle, same fields filled;
+    # bump mapping differences its height through it (needs: "moved")
+    moved: Callable[[np.ndarray], SurfacePoints] | None = None
     # the ray that came here
     ray_kind: np.ndarray | None = None  # (N,) uint8: bits RAY_* below
     ray_length: np.ndarray | None = None  # (N,) float32
