@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from pointmr_engine.scene.errors import SceneError
@@ -45,6 +46,7 @@ class RenderSettings:
     clamp_indirect: float = 0.0
     caustics_reflective: bool = True
     caustics_refractive: bool = True
+    pass_alpha_threshold: float = 0.5  # surfaces less opaque than this let unfiltered passes look through them
     passes: tuple[str, ...] = ("combined", "depth")
     threads: int = 0  # 0: one per core
 
@@ -56,6 +58,10 @@ class RenderSettings:
             raise SceneError(f"method '{self.method}' is not one of {', '.join(METHODS)}")
         if self.pixel_filter not in FILTERS:
             raise SceneError(f"pixel filter '{self.pixel_filter}' is not one of {', '.join(FILTERS)}")
+        if self.pixel_filter != "box" and not 0.01 <= self.filter_width <= 10.0:
+            raise SceneError(f"filter width {self.filter_width} is outside 0.01..10 pixels")
+        if not (self.pixel_aspect > 0.0 and math.isfinite(self.pixel_aspect)):
+            raise SceneError(f"pixel aspect {self.pixel_aspect} must be positive and finite")
         if self.samples < 1:
             raise SceneError(f"samples = {self.samples}: at least 1 is needed")
         unknown = [p for p in self.passes if p not in PASSES]
