@@ -1,0 +1,211 @@
+"""PointMR's RenderEngine: final renders and material previews here, the rendered viewport in viewport.py."""
+
+from __future__ import annotations
+
+import time
+import traceback
+
+import bpy
+
+from . import kernel_cache, passes
+from .job import RenderJob
+from .report import Reporter
+
+POLL_SECONDS = 0.1  # how often Esc is looked at
+SHOW_SECONDS = 1.0  # how often a final render's unfinished image is shown
+PREVIEW_SAMPLES = 16  # of a material preview, which is small and asked for at every change
+
+
+class PointMRRender(bpy.types.RenderEngine):
+    """Render engine POINTMR. Blender makes one instance per render job, per preview and per rendered
+    viewport.
+    """
+
+    bl_idname = "POINTMR"
+    bl_label = "PointMR"
+    bl_use_preview = True
+    bl_use_shading_nodes_custom = False  # the standard shader nodes are ours too
+    bl_use_eevee_viewport = True  # for the Material Preview mode of viewports
+    bl_use_exclude_layers = True
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.scene = None  # the engine's scene, from update() to render()
+        self.settings = None
+        self.reporter = None
+        self.viewport = None
+
+    def __del__(self):
+        viewport = getattr(self, "viewport", None)
+        if viewport is not None:
+            viewport.close()
+
+    def update_render_passes(self, scene=None, renderlayer=None):
+        for p in passes.list_passes(renderlayer):
+            self.register_pass(scene, renderlayer, p.name, len(p.channels), p.channels, p.kind)
+
+    # Final render and preview. Blender calls update() and render() once per view layer.
+
+    def update(self, data, depsgraph):
+        """Read the scene, while Blender holds it still."""
+        from . import sync
+
+        if self.reporter is None:
+            self.reporter = Reporter(self.report)
+        self.scene = self.settings = None
+        layer = depsgraph.view_layer_eval
+        try:
+            self.update_stats("", "PointMR: reading the scene")
+            self.scene = sync.export(
+                depsgraph, report=self.reporter, cancel=self.test_break, progress=self._export_progress
+            )
+            self.settings = render_settings(depsgraph.scene_eval, layer, self)
+        except sync.Cancelled:
+            pass
+        except Exception as error:
+            self._fail(error)
+        self.reporter.flush()
+
+    def render(self, depsgraph):
+        """Render what update() read, and give Blender the result."""
+        if self.scene is None or self.settings is None:
+            return  # cancelled, or an error that is already shown
+        scene, settings, self.scene = self.scene, self.settings, None
+        layer = depsgraph.view_layer_eval
+        try:
+            self._render_layer(scene, settings, layer)
+        except Exception as error:
+            self._fail(error)
+        finally:
+            self.reporter.close()
+
+    def _export_progress(self, fraction, text):
+        self.update_stats("", f"PointMR: {text}" if text else "PointMR: reading the scene")
+
+    def _render_layer(self, scene, settings, layer):
+        cold = kernel_cache.is_cold()
+        if cold:
+            self.reporter("INFO", "PointMR: the first render compiles its kernels, under a minute, once")
+            self.reporter.flush()
+        x0, y0, x1, y1 = settings.region or (0, 0, settings.width, settings.height)
+        result = self.begin_result(0, 0, x1 - x0, y1 - y0, layer=layer.name)
+        job = RenderJob(scene, settings)
+        finished = False
+        try:
+            finished = self._watch(job, result, layer, cold)
+            if finished:
+                write_passes(result, layer, job.frame)
+                self._stamp(settings, job.frame)
+        finally:
+            job.cancel()
+            self.end_result(result, cancel=not finished, do_merge_results=True)
+        if finished:
+            self.update_progress(1.0)
+            for warning in job.frame.stats.get("warnings", ()):
+                self.reporter("WARNING", warning)
+
+    def _watch(self, job, result, layer, cold) -> bool:
+        """Show progress and finished tiles until the job is done; False when the user stopped it. Raises its
+        error.
+        """
+        combined = pass_named(result, "Combined")
+        image, shown = None, time.monotonic()
+        while not job.wait(POLL_SECONDS):
+            if self.test_break():
+                job.cancel()
+                job.wait(0.5)  # tiles end well within this; a running compilation is left to end by itself
+                return False
+            text = job.text or "rendering"
+            if cold and job.fraction <= 0.0:
+                text += " (compiling kernels, first time only)"
+            self.update_stats("", f"PointMR: {text}")
+            self.update_progress(job.fraction)
+            self.reporter.flush()
+            if time.monotonic() - shown >= SHOW_SECONDS and combined is not None:
+                tiles = job.take_tiles()
+                if tiles:
+                    image = show_tiles(combined, tiles, image, result)
+                    self.update_result(result)
+                shown = time.monotonic()
+        if job.error is not None:
+            raise job.error
+        return not self.test_break()
+
+    def _stamp(self, settings, frame):
+        result = self.get_result()
+        result.stamp_data_add_field("PointMR method", settings.method)
+        result.stamp_data_add_field("PointMR samples", str(settings.samples))
+        for key, label in (("triangles", "triangles"), ("unique_triangles", "unique triangles")):
+            if key in frame.stats:
+                result.stamp_data_add_field(f"PointMR {label}", str(frame.stats[key]))
+
+    def _fail(self, error):
+        """Show an error where the user looks: in the render window and in the report. Bugs also leave their
+        traceback.
+        """
+        from pointmr_engine.scene.errors import SceneError
+
+        if isinstance(error, SceneError):
+            message = f"PointMR: {error}"
+        else:
+            traceback.print_exception(error)
+            message = f"PointMR: {type(error).__name__}: {error}"
+        self.error_set(message)
+        self.report({"ERROR"}, message)
+
+    # Rendered viewport
+
+    def view_update(self, context, depsgraph):
+        self._viewport().update(context, depsgraph)
+
+    def view_draw(self, context, depsgraph):
+        self._viewport().draw(context, depsgraph)
+
+    def _viewport(self):
+        if self.viewport is None:
+            from .viewport import Viewport
+
+            self.viewport = Viewport(self)
+        return self.viewport
+
+
+def render_settings(scene, layer, engine):
+    """The engine's settings for this render; a preview takes few samples."""
+    from . import sync
+
+    settings = sync.settings_from_blender(scene, layer, report=engine.reporter)
+    settings.passes = passes.engine_passes(layer)
+    if engine.is_preview:
+        settings.samples = min(settings.samples, PREVIEW_SAMPLES)
+    return settings
+
+
+def pass_named(result, name):
+    """The pass of a RenderResult's only layer with this name, or None."""
+    return next((p for p in result.layers[0].passes if p.name == name), None)
+
+
+def write_passes(result, layer, frame) -> None:
+    """Copy the frame's passes into Blender's result."""
+    for p in passes.list_passes(layer):
+        target, pixels = pass_named(result, p.name), frame.passes.get(p.key)
+        if target is not None and pixels is not None:
+            target.rect.foreach_set(pixels.ravel())
+
+
+def show_tiles(target, tiles, image, result):
+    """Put finished tiles into the pass shown meanwhile; returns the image they were gathered in, (h, w, 4)
+    float32.
+    """
+    import numpy as np
+
+    if image is None:
+        image = np.zeros((result.resolution_y, result.resolution_x, 4), np.float32)
+    for tile in tiles:
+        h, w = tile.pixels.shape[:2]
+        image[tile.y : tile.y + h, tile.x : tile.x + w] = tile.pixels
+    target.rect.foreach_set(image.ravel())
+    return image
+
+
+register, unregister = bpy.utils.register_classes_factory((PointMRRender,))
