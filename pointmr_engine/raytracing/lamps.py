@@ -1,0 +1,441 @@
+"""Lamps: point, spot, area and sun lights, sampled by the solid angle that they fill, and met by rays.
+
+A lamp's radiance is `radiance[i] * scale`, where `scale` depends on direction and distance only. Delta lamps (no extent)
+have a density of 1 and a scale that stands for radiance times solid angle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.numerics.warps import (
+    concentric_disk,
+    cosine_hemisphere,
+    one_minus_cos_of_sine,
+    rectangle_solid_angle,
+    spherical_rectangle,
+    uniform_cone,
+)
+from pointmr_engine.scene.light import Light
+
+POINT, SPHERE, DISC, RECTANGLE, ELLIPSE, DISTANT, SUN = range(7)
+
+# columns of Lamps.values
+PX, PY, PZ = 0, 1, 2  # centre
+UX, UY, UZ, VX, VY, VZ, AX, AY, AZ = range(
+    3, 12
+)  # unit sides of area lights; the direction in which the lamp shines
+LOCAL = 12  # nine columns: local_from_world, row by row, of spots
+(RADIUS, HALF_U, HALF_V, SPOT, COS_HALF, SMOOTH, SPOT_CONE, TAN_SPREAD, SPREAD_SCALE, CONE) = range(21, 31)
+COLUMNS = 31
+
+_TINY_SOLID_ANGLE = 1e-7  # below it a rectangle is sampled by area: as good, and exact
+_INF = math.inf
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+class Lamps(NamedTuple):
+    """L lamps, one row each."""
+
+    shape: np.ndarray  # (L,) uint8: the kinds above. POINT and DISTANT are delta lamps
+    values: np.ndarray  # (L, COLUMNS) float64
+    radiance: (
+        np.ndarray
+    )  # (L, 3) float64: radiance; POINT: intensity; DISTANT, areas without spread: irradiance
+    mis: np.ndarray  # (L,) bool: rays chosen by a BSDF can meet it
+    cast_shadow: np.ndarray  # (L,) bool
+    visibility: np.ndarray  # (L,) uint8, bits of scene.group
+    source: np.ndarray  # (L,) int32: index into scene.lights
+
+
+def compile_lamps(lights: list[Light]) -> tuple[Lamps, list[str]]:
+    """Lamps of all lights that shine, and warnings about those that cannot."""
+    rows, warnings = [], []
+    for index, light in enumerate(lights):
+        row = _compile_lamp(light, warnings)
+        if row is not None:
+            rows.append((*row, light.cast_shadow, light.visibility & 255, index))
+    n = len(rows)
+    lamps = Lamps(
+        np.zeros(n, np.uint8),
+        np.zeros((n, COLUMNS)),
+        np.zeros((n, 3)),
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.uint8),
+        np.zeros(n, np.int32),
+    )
+    for k, row in enumerate(rows):
+        for column, value in zip(lamps, row, strict=True):
+            column[k] = value
+    return lamps, warnings
+
+
+def _compile_lamp(light: Light, warnings: list[str]):
+    """(shape, values, radiance, mis) of one light, or None where it cannot shine."""
+    m = np.asarray(light.world_from_light, np.float64)
+    numbers = (light.power, light.exposure, light.radius, light.angle, light.spot_angle, light.spot_blend)
+    numbers += (light.size_x, light.size_y, light.spread, *light.color)
+    if not (np.isfinite(m[:3]).all() and np.isfinite(numbers).all()):
+        warnings.append(f"light '{light.name}': a value or its transform is not finite; it is left out")
+        return None
+    strength = np.asarray(light.color, np.float64) * light.power * 2.0**light.exposure
+    if not strength.any():
+        return None
+    lengths = np.linalg.norm(m[:3, :3], axis=0)
+    if lengths[2] == 0.0 and light.kind != "POINT":
+        warnings.append(f"light '{light.name}': its transform is scaled to zero; it is left out")
+        return None
+    unit = m[:3, :3] / np.where(lengths > 0.0, lengths, 1.0)
+    values = np.zeros(COLUMNS)
+    values[:3] = m[:3, 3]
+    values[AX : AZ + 1] = -unit[:, 2]
+    values[UX : UZ + 1], values[VX : VZ + 1] = unit[:, 0], unit[:, 1]
+    values[TAN_SPREAD] = _INF
+    if light.kind in ("POINT", "SPOT"):
+        return _compile_point(light, m, strength, values)
+    if light.kind == "SUN":
+        return _compile_sun(light, strength, values)
+    if light.kind == "AREA":
+        return _compile_area(light, lengths, strength, values, warnings)
+    warnings.append(
+        f"light '{light.name}': kind '{light.kind}' is not POINT, SUN, SPOT or AREA; it is left out"
+    )
+    return None
+
+
+def _compile_point(light: Light, m: np.ndarray, strength: np.ndarray, values: np.ndarray):
+    radius = max(0.0, light.radius)
+    values[RADIUS] = radius
+    if light.kind == "SPOT":
+        linear = m[:3, :3]
+        if abs(np.linalg.det(linear)) < 1e-30:
+            linear = np.eye(3)
+        half = 0.5 * min(max(light.spot_angle, 1e-4), math.pi)
+        values[SPOT] = 1.0
+        values[LOCAL : LOCAL + 9] = np.linalg.inv(linear).ravel()
+        values[COS_HALF] = math.cos(half)
+        values[SMOOTH] = 1.0 / max((1.0 - math.cos(half)) * light.spot_blend, 1e-12)
+        scale = np.linalg.norm(
+            linear, axis=0
+        )  # a scaled spot's cone is an elliptical one: the wider half angle
+        wider = math.atan2(max(scale[0], scale[1]) * math.tan(min(half, 1.57079)), scale[2])
+        values[SPOT_CONE] = 1.0 if half >= 1.57079 else 1.0 - math.cos(wider)
+    radiance = strength / (4.0 * math.pi)
+    if radius > 0.0 and light.normalize:
+        radiance = radiance / (math.pi * radius * radius)
+    shape = POINT if radius == 0.0 else (DISC if light.soft_falloff else SPHERE)
+    return shape, values, radiance, light.use_mis and radius > 0.0
+
+
+def _compile_sun(light: Light, strength: np.ndarray, values: np.ndarray):
+    half = 0.5 * min(max(light.angle, 0.0), math.pi)
+    values[CONE] = 2.0 * math.sin(0.5 * half) ** 2
+    if half == 0.0:
+        return DISTANT, values, strength, False
+    radiance = strength / (math.pi * math.sin(half) ** 2) if light.normalize else strength
+    return SUN, values, radiance, light.use_mis
+
+
+def _compile_area(
+    light: Light, lengths: np.ndarray, strength: np.ndarray, values: np.ndarray, warnings: list[str]
+):
+    size_y = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else light.size_x
+    side_u, side_v = abs(light.size_x) * lengths[0], abs(size_y) * lengths[1]
+    shape = ELLIPSE if light.shape in ("DISK", "ELLIPSE") else RECTANGLE
+    area = side_u * side_v * (math.pi / 4.0 if shape == ELLIPSE else 1.0)
+    if area == 0.0:
+        warnings.append(f"light '{light.name}': an area light without an area; it is left out")
+        return None
+    values[HALF_U], values[HALF_V] = 0.5 * side_u, 0.5 * side_v
+    radiance = strength / math.pi
+    if light.normalize:
+        radiance = radiance / area
+    half = 0.5 * min(max(light.spread, 0.0), math.pi)
+    if half == 0.0:
+        values[TAN_SPREAD] = 0.0
+        return shape, values, radiance * math.pi, False
+    if half < 0.5 * math.pi - 1e-7:
+        tangent = math.tan(half)
+        values[TAN_SPREAD] = tangent
+        # soft box: integrates to the same power at any spread; the series keeps narrow beams exact
+        excess = tangent - half if half > 1e-3 else half**3 / 3.0 + 2.0 * half**5 / 15.0
+        values[SPREAD_SCALE] = 1.0 / excess
+    return shape, values, radiance, light.use_mis
+
+
+@_jit
+def _spot_attenuation(row, dx, dy, dz):
+    """Share of a spot's intensity that leaves against the unit direction d (from the lit point to the lamp)."""
+    x = -(row[LOCAL] * dx + row[LOCAL + 1] * dy + row[LOCAL + 2] * dz)
+    y = -(row[LOCAL + 3] * dx + row[LOCAL + 4] * dy + row[LOCAL + 5] * dz)
+    z = row[LOCAL + 6] * dx + row[LOCAL + 7] * dy + row[LOCAL + 8] * dz
+    length = math.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0
+    t = min(1.0, max(0.0, (z / length - row[COS_HALF]) * row[SMOOTH]))
+    return t * t * (3.0 - 2.0 * t)
+
+
+@_jit
+def _round_cone(row, shape, d2):
+    """1 - cos of the half angle that a sphere or a disc facing the point fills, at squared distance d2 (> r^2)."""
+    r2 = row[RADIUS] * row[RADIUS]
+    if shape == SPHERE:
+        return one_minus_cos_of_sine(r2 / d2)
+    h2 = r2 + d2
+    return r2 / (h2 + math.sqrt(h2 * d2))
+
+
+@_jit
+def _sphere_distance(px, py, pz, row, dx, dy, dz):
+    """Distance along the unit direction to a sphere: its front from outside, its back from inside; -1: missed."""
+    cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
+    along = cx * dx + cy * dy + cz * dz
+    sx, sy, sz = cx - along * dx, cy - along * dy, cz - along * dz
+    r2 = row[RADIUS] * row[RADIUS]
+    s2 = sx * sx + sy * sy + sz * sz
+    if s2 > r2:
+        return -1.0
+    half = math.sqrt(r2 - s2)
+    if cx * cx + cy * cy + cz * cz > r2:
+        return along - half
+    return along + half
+
+
+@_jit
+def _sample_round(row, shape, px, py, pz, nx, ny, nz, transmissive, u1, u2):
+    """sample_lamp for points, spheres and discs that face the point."""
+    cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
+    d2 = cx * cx + cy * cy + cz * cz
+    r2 = row[RADIUS] * row[RADIUS]
+    d = math.sqrt(d2)
+    spot = row[SPOT] != 0.0
+    if shape == SPHERE and d2 <= r2:
+        if transmissive:
+            dx, dy, dz, _ = uniform_cone(0.0, 0.0, 1.0, 2.0, u1, u2)
+            pdf = 1.0 / (4.0 * math.pi)
+        else:
+            dx, dy, dz, c = cosine_hemisphere(nx, ny, nz, u1, u2)
+            pdf = c / math.pi
+        return dx, dy, dz, max(0.0, _sphere_distance(px, py, pz, row, dx, dy, dz)), pdf, 1.0
+    if d == 0.0:
+        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    ax, ay, az = cx / d, cy / d, cz / d
+    if shape == POINT:
+        scale = 1.0 / d2
+        if spot:
+            scale *= _spot_attenuation(row, ax, ay, az)
+        return ax, ay, az, d, 1.0, scale
+    cone = _round_cone(row, shape, d2)
+    if cone == 0.0:
+        return ax, ay, az, d, 0.0, 0.0
+    if spot and shape == SPHERE and row[SPOT_CONE] < cone:
+        # near a wide sphere only part of it shines this way: sample the beam instead
+        cone = row[SPOT_CONE]
+        dx, dy, dz, h = uniform_cone(-row[AX], -row[AY], -row[AZ], cone, u1, u2)
+        t = _sphere_distance(px, py, pz, row, dx, dy, dz)
+        if t <= 0.0:
+            return dx, dy, dz, 0.0, 0.0, 0.0
+    else:
+        dx, dy, dz, h = uniform_cone(ax, ay, az, cone, u1, u2)
+        if shape == SPHERE:
+            t = d * (1.0 - h) - math.sqrt(max(0.0, r2 - d2 * h * (2.0 - h)))
+        else:
+            t = d / (1.0 - h)
+    scale = 1.0
+    if spot:
+        scale = _spot_attenuation(row, dx, dy, dz)
+    return dx, dy, dz, t, 1.0 / (2.0 * math.pi * cone), scale
+
+
+@_jit
+def _area_region(row, shape, x, y, h):
+    """Part of an area light that can light a point: (shape, centre u, v, half sides), half side 0 if none.
+
+    x, y, h: the point in the light's frame, h > 0 in front. With a spread only a circle around the foot point shines
+    here; the smallest of that circle, the light's ellipse and the box around both is taken.
+    """
+    a, b = row[HALF_U], row[HALF_V]
+    tangent = row[TAN_SPREAD]
+    if tangent == _INF:
+        return shape, 0.0, 0.0, a, b
+    r = h * tangent
+    u0, u1 = max(x - r, -a), min(x + r, a)
+    v0, v1 = max(y - r, -b), min(y + r, b)
+    if u0 >= u1 or v0 >= v1:
+        return shape, 0.0, 0.0, 0.0, 0.0
+    box = (u1 - u0) * (v1 - v0)
+    if shape == ELLIPSE:
+        if math.pi * r * r <= min(box, math.pi * a * b):
+            return ELLIPSE, x, y, r, r
+        if math.pi * a * b <= box:
+            return ELLIPSE, 0.0, 0.0, a, b
+    return RECTANGLE, 0.5 * (u0 + u1), 0.5 * (v0 + v1), 0.5 * (u1 - u0), 0.5 * (v1 - v0)
+
+
+@_jit
+def _spread_scale(row, cosine):
+    """Share of the radiance that an area light sends at an angle to its axis, by the cosine."""
+    tangent = row[TAN_SPREAD]
+    if tangent == _INF:
+        return 1.0
+    if cosine <= 0.0:
+        return 0.0
+    return max(0.0, (tangent - math.sqrt(max(0.0, 1.0 - cosine * cosine)) / cosine) * row[SPREAD_SCALE])
+
+
+@_jit
+def _inside_area(row, shape, x, y):
+    if shape == ELLIPSE:
+        x /= row[HALF_U]
+        y /= row[HALF_V]
+        return x * x + y * y <= 1.0
+    return abs(x) <= row[HALF_U] and abs(y) <= row[HALF_V]
+
+
+@_jit
+def _area_point(row, px, py, pz):
+    """The point in an area light's frame: along its sides and in front of it."""
+    cx, cy, cz = px - row[PX], py - row[PY], pz - row[PZ]
+    x = cx * row[UX] + cy * row[UY] + cz * row[UZ]
+    y = cx * row[VX] + cy * row[VY] + cz * row[VZ]
+    return x, y, cx * row[AX] + cy * row[AY] + cz * row[AZ]
+
+
+@_jit
+def _sample_area(row, shape, px, py, pz, u1, u2):
+    """sample_lamp for area lights."""
+    x, y, h = _area_point(row, px, py, pz)
+    if h <= 0.0:
+        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    if row[TAN_SPREAD] == 0.0:
+        lit = 1.0 if _inside_area(row, shape, x, y) else 0.0
+        return -row[AX], -row[AY], -row[AZ], h, lit, 1.0
+    region, cu, cv, a, b = _area_region(row, shape, x, y, h)
+    if a == 0.0:
+        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    solid_angle = 0.0
+    if region == RECTANGLE:
+        solid_angle = rectangle_solid_angle(cu - a - x, cu + a - x, cv - b - y, cv + b - y, h)
+        if solid_angle > _TINY_SOLID_ANGLE:
+            du, dv = spherical_rectangle(
+                cu - a - x, cu + a - x, cv - b - y, cv + b - y, h, solid_angle, u1, u2
+            )
+        else:
+            du, dv = cu - x + a * (2.0 * u1 - 1.0), cv - y + b * (2.0 * u2 - 1.0)
+    else:
+        du, dv = concentric_disk(u1, u2)
+        du, dv = cu - x + a * du, cv - y + b * dv
+    t = math.sqrt(du * du + dv * dv + h * h)
+    scale = _spread_scale(row, h / t)
+    if region != shape or row[TAN_SPREAD] != _INF:
+        # a hair's breadth outside is still the light: rounding at its very edge
+        if not _inside_area(row, shape, (x + du) * (1.0 - 1e-9), (y + dv) * (1.0 - 1e-9)):
+            scale = 0.0
+    pdf = _area_density(region, solid_angle, a, b, h, t)
+    dx = (du * row[UX] + dv * row[VX] - h * row[AX]) / t
+    dy = (du * row[UY] + dv * row[VY] - h * row[AY]) / t
+    dz = (du * row[UZ] + dv * row[VZ] - h * row[AZ]) / t
+    return dx, dy, dz, t, pdf, scale
+
+
+@_jit
+def _area_density(region, solid_angle, a, b, h, t):
+    """Density per solid angle of a point at distance t on a region; solid_angle 0 if the region is an ellipse."""
+    if region == RECTANGLE:
+        if solid_angle > _TINY_SOLID_ANGLE:
+            return 1.0 / solid_angle
+        return t * t * t / (h * 4.0 * a * b)
+    return t * t * t / (h * math.pi * a * b)
+
+
+@_jit
+def sample_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive, u1, u2):
+    """Choose a direction from p to lamp i: (dx, dy, dz, distance, pdf, scale). pdf 0: nothing can be sampled.
+
+    n: the surface's unit normal, used inside spheres only.
+    """
+    row = lamps.values[i]
+    shape = lamps.shape[i]
+    if shape <= DISC:
+        return _sample_round(row, shape, px, py, pz, nx, ny, nz, transmissive, u1, u2)
+    if shape <= ELLIPSE:
+        return _sample_area(row, shape, px, py, pz, u1, u2)
+    if shape == SUN:
+        dx, dy, dz, _ = uniform_cone(-row[AX], -row[AY], -row[AZ], row[CONE], u1, u2)
+        return dx, dy, dz, _INF, 1.0 / (2.0 * math.pi * row[CONE]), 1.0
+    return -row[AX], -row[AY], -row[AZ], _INF, 1.0, 1.0
+
+
+@_jit
+def intersect_lamp(lamps, i, px, py, pz, dx, dy, dz):
+    """Distance at which the ray from p meets lamp i (inf for suns), or -1. Delta lamps are never met."""
+    row = lamps.values[i]
+    shape = lamps.shape[i]
+    if shape == SPHERE or shape == DISC:
+        cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
+        if row[SPOT] != 0.0 and cx * dx + cy * dy + cz * dz <= 0.0:
+            return -1.0
+        if shape == SPHERE:
+            return _sphere_distance(px, py, pz, row, dx, dy, dz)
+        d2 = cx * cx + cy * cy + cz * cz
+        along = cx * dx + cy * dy + cz * dz
+        if along <= 0.0:
+            return -1.0
+        t = d2 / along
+        if t * t - d2 > row[RADIUS] * row[RADIUS]:
+            return -1.0
+        return t
+    if shape == RECTANGLE or shape == ELLIPSE:
+        x, y, h = _area_point(row, px, py, pz)
+        approach = -(dx * row[AX] + dy * row[AY] + dz * row[AZ])
+        if approach <= 0.0 or h <= 0.0 or row[TAN_SPREAD] == 0.0:
+            return -1.0
+        t = h / approach
+        x += t * (dx * row[UX] + dy * row[UY] + dz * row[UZ])
+        y += t * (dx * row[VX] + dy * row[VY] + dz * row[VZ])
+        return t if _inside_area(row, shape, x, y) else -1.0
+    if shape == SUN:
+        ex, ey, ez = dx + row[AX], dy + row[AY], dz + row[AZ]
+        return _INF if 0.5 * (ex * ex + ey * ey + ez * ez) <= row[CONE] else -1.0
+    return -1.0
+
+
+@_jit
+def lamp_pdf_scale(lamps, i, px, py, pz, nx, ny, nz, transmissive, dx, dy, dz, t):
+    """(pdf, scale) of the point of lamp i that the ray from p meets at distance t: what `sample_lamp` would say."""
+    row = lamps.values[i]
+    shape = lamps.shape[i]
+    if shape == SPHERE or shape == DISC:
+        cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
+        d2 = cx * cx + cy * cy + cz * cz
+        if shape == SPHERE and d2 <= row[RADIUS] * row[RADIUS]:
+            if transmissive:
+                return 1.0 / (4.0 * math.pi), 1.0
+            return max(0.0, dx * nx + dy * ny + dz * nz) / math.pi, 1.0
+        cone = _round_cone(row, shape, d2)
+        scale = 1.0
+        if row[SPOT] != 0.0:
+            scale = _spot_attenuation(row, dx, dy, dz)
+            if shape == SPHERE:
+                cone = min(cone, row[SPOT_CONE])
+        return 1.0 / (2.0 * math.pi * cone), scale
+    if shape == RECTANGLE or shape == ELLIPSE:
+        x, y, h = _area_point(row, px, py, pz)
+        scale = _spread_scale(row, h / t)
+        region, cu, cv, a, b = _area_region(row, shape, x, y, h)
+        if a == 0.0 or scale == 0.0:
+            return 0.0, scale
+        solid_angle = 0.0
+        if region == RECTANGLE:
+            solid_angle = rectangle_solid_angle(cu - a - x, cu + a - x, cv - b - y, cv + b - y, h)
+        return _area_density(region, solid_angle, a, b, h, t), scale
+    if shape == SUN:
+        return 1.0 / (2.0 * math.pi * row[CONE]), 1.0
+    return 0.0, 0.0
