@@ -1,0 +1,93 @@
+"""What can be rendered by name: .blend files, the small feature scenes, and real scenes with a driver."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scene by name. `load` leaves it as bpy.context.scene; `content` identifies what it loads, for caches.
+
+    size: its usual (width, height). overrides: render settings under Cycles' names that the scene asks for.
+    """
+
+    name: str
+    load: Callable[[], None]
+    content: str
+    size: tuple[int, int]
+    overrides: dict = field(default_factory=dict)
+    kind: str = "blend"  # "feature", "real" or "blend"
+    path: Path | None = None
+
+    @property
+    def argument(self) -> str:
+        """How another process is told of this scene."""
+        return str(self.path) if self.path else self.name
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes, 16 hex digits."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def text_hash(*parts: object) -> str:
+    """SHA-256 of the JSON of anything, 16 hex digits."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def scenes_folder() -> Path | None:
+    """The folder of third-party scenes (environment variable POINTMR_SCENES), or None."""
+    folder = os.environ.get("POINTMR_SCENES")
+    return Path(folder) if folder and Path(folder).is_dir() else None
+
+
+def open_blend(path: Path) -> None:
+    """Open a .blend file without running its scripts. Raises FileNotFoundError when it is not there."""
+    import bpy
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"no such scene: {path}")
+    bpy.ops.wm.open_mainfile(filepath=str(path), use_scripts=False, load_ui=False)
+
+
+def find(name: str) -> Source:
+    """The source of a name: a path to a .blend, a feature scene, or a real scene. Raises KeyError if none is meant."""
+    from benchmarks import features, real
+
+    if name in features.FEATURES:
+        return features.source(name)
+    if name in real.REAL:
+        return real.source(name)
+    path = Path(name)
+    if path.suffix == ".blend":
+        path = path.resolve()
+        content = f"{path.name}:{file_hash(path)}"
+        return Source(path.stem, lambda: open_blend(path), content, (320, 240), path=path)
+    known = ", ".join([*features.FEATURES, *real.REAL])
+    raise KeyError(f"'{name}' is neither a .blend file nor one of: {known}")
+
+
+def names(patterns: list[str]) -> list[str]:
+    """Expand "features", "real" and patterns like "light_*" into names of scenes; the rest is left as it is."""
+    from fnmatch import fnmatch
+
+    from benchmarks import features, real
+
+    found = []
+    for pattern in patterns:
+        if pattern == "features":
+            found += list(features.FEATURES)
+        elif pattern == "real":
+            found += list(real.REAL)
+        elif any(c in pattern for c in "*?["):
+            found += [n for n in [*features.FEATURES, *real.REAL] if fnmatch(n, pattern)]
+        else:
+            found.append(pattern)
+    return list(dict.fromkeys(found))
