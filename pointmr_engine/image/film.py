@@ -1,8 +1,8 @@
 """The film: samples of a tile are summed by kernels, and finished tiles become a Frame.
 
-Every tile is summed by one thread in the order of its queue, in float64, so that the image does not depend on the number
-of threads. What is averaged over a pixel's samples and what is taken from its first one follows Cycles: depth, position
-and the indices come from sample 0, which goes through the pixel's centre; all else is the filtered average.
+Every tile is summed by one thread in the order of its queue, in float64, so that the image does not depend on the
+number of threads. What is averaged over a pixel's samples and what is taken from its first one follows Cycles: depth,
+position and the indices come from sample 0, which goes through the pixel's centre; all else is the filtered average.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class Film:
         self._lock = threading.Lock()
 
     def tiles(self, size: int) -> list[tuple[int, int, int, int]]:
-        """Bounds of the tiles of at most size x size pixels that cover the region, in whole-image pixels, top row first."""
+        """Bounds of the tiles, at most size x size, that cover the region, in whole-image pixels, top row first."""
         x0, y0, x1, y1 = self.region
         rows = [(max(y1 - (j + 1) * size, y0), y1 - j * size) for j in range(-(-(y1 - y0) // size))]
         columns = [(x, min(x + size, x1)) for x in range(x0, x1, size)]
@@ -204,7 +204,9 @@ class Film:
             with np.errstate(over="ignore"):
                 block = block.astype(np.float32)
             if not np.isfinite(block).all():  # sums of finite samples may still leave float32's range
-                block = np.nan_to_num(block, nan=0.0, posinf=np.finfo(np.float32).max, neginf=-np.finfo(np.float32).max)
+                block = np.nan_to_num(
+                    block, nan=0.0, posinf=np.finfo(np.float32).max, neginf=-np.finfo(np.float32).max
+                )
             target[low : low + rows, left : left + columns] = block
         with self._lock:
             self.bad_samples += int(tile.bad[0])

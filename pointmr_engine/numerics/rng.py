@@ -1,9 +1,9 @@
 """Random numbers without state: shuffled, Owen-scrambled Sobol points in padded sets of four dimensions.
 
 Burley, Practical Hash-based Owen Scrambling (2020); the scrambling hash is Vegdahl's improved Laine-Karras permutation.
-A sample is a pure function of (pixel seed, dimension set, sample index), so that any thread may compute it in any order.
-Within a set the four dimensions are stratified together, best in the first two; different sets and different pixels
-are decorrelated. Values lie in [0, 1) and have 24 bits, so that they stay below one as float32, too.
+A sample is a pure function of (pixel seed, dimension set, sample index): any thread may compute it, in any order. Within
+a set the four dimensions are stratified together, best in the first two; different sets and different pixels are
+decorrelated. Values lie in [0, 1) and have 24 bits, so that they stay below one as float32, too.
 """
 
 from __future__ import annotations
@@ -22,10 +22,18 @@ def reverse_bits(n: np.uint32) -> np.uint32:
     """The 32 bits of n in opposite order."""
     n = np.uint32(n)
     n = np.uint32((n >> np.uint32(16)) | (n << np.uint32(16)))
-    n = np.uint32(((n & np.uint32(0xFF00FF00)) >> np.uint32(8)) | ((n & np.uint32(0x00FF00FF)) << np.uint32(8)))
-    n = np.uint32(((n & np.uint32(0xF0F0F0F0)) >> np.uint32(4)) | ((n & np.uint32(0x0F0F0F0F)) << np.uint32(4)))
-    n = np.uint32(((n & np.uint32(0xCCCCCCCC)) >> np.uint32(2)) | ((n & np.uint32(0x33333333)) << np.uint32(2)))
-    n = np.uint32(((n & np.uint32(0xAAAAAAAA)) >> np.uint32(1)) | ((n & np.uint32(0x55555555)) << np.uint32(1)))
+    n = np.uint32(
+        ((n & np.uint32(0xFF00FF00)) >> np.uint32(8)) | ((n & np.uint32(0x00FF00FF)) << np.uint32(8))
+    )
+    n = np.uint32(
+        ((n & np.uint32(0xF0F0F0F0)) >> np.uint32(4)) | ((n & np.uint32(0x0F0F0F0F)) << np.uint32(4))
+    )
+    n = np.uint32(
+        ((n & np.uint32(0xCCCCCCCC)) >> np.uint32(2)) | ((n & np.uint32(0x33333333)) << np.uint32(2))
+    )
+    n = np.uint32(
+        ((n & np.uint32(0xAAAAAAAA)) >> np.uint32(1)) | ((n & np.uint32(0x55555555)) << np.uint32(1))
+    )
     return n
 
 
@@ -52,7 +60,9 @@ def pixel_seed(x: np.int64, y: np.int64, seed: np.int64) -> np.uint32:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _set_seed(seed: np.uint32, dimension_set: np.uint32, salt: np.uint32) -> np.uint32:
-    return hash_u32(np.uint32(np.uint32(seed) ^ hash_u32(np.uint32(np.uint32(dimension_set) + np.uint32(salt)))))
+    return hash_u32(
+        np.uint32(np.uint32(seed) ^ hash_u32(np.uint32(np.uint32(dimension_set) + np.uint32(salt))))
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -28,10 +28,14 @@ class CameraArrays(NamedTuple):
 
     world_from_camera: np.ndarray  # (3, 4) float64, orthonormal columns (mirrored if the camera is)
     camera_from_world: np.ndarray  # (3, 4) float64, its inverse: row 2 gives the depth along the view axis
-    plane: np.ndarray  # (2, 2) float64: camera-space (x, y) = plane[0] + raster * plane[1], at z = 1 (perspective)
+    plane: (
+        np.ndarray
+    )  # (2, 2) float64: camera-space (x, y) = plane[0] + raster * plane[1], at z = 1 (perspective)
     perspective: np.ndarray  # (1,) bool; else orthographic
     clip: np.ndarray  # (2,) float64: start, end along the view axis
-    lens: np.ndarray  # (5,) float64: radius (0: pinhole), focus distance, blades (0: round), rotation, 1 / aspect
+    lens: (
+        np.ndarray
+    )  # (5,) float64: radius (0: pinhole), focus distance, blades (0: round), rotation, 1 / aspect
     size: np.ndarray  # (2,) float64: the whole image's width and height in pixels
     filter_table: np.ndarray  # image.filters.filter_table
 
@@ -44,7 +48,9 @@ def compile_camera(camera: Camera, settings: RenderSettings) -> CameraArrays:
     """
     _validate(camera)
     view_width, view_height = settings.width * settings.pixel_aspect, float(settings.height)
-    horizontal = camera.sensor_fit == "HORIZONTAL" or (camera.sensor_fit == "AUTO" and view_width >= view_height)
+    horizontal = camera.sensor_fit == "HORIZONTAL" or (
+        camera.sensor_fit == "AUTO" and view_width >= view_height
+    )
     sensor = camera.sensor_height if camera.sensor_fit == "VERTICAL" else camera.sensor_width
     fitted = view_width if horizontal else view_height
     # Half the fitted side: at distance 1 (perspective) or in metres (orthographic).
@@ -52,7 +58,10 @@ def compile_camera(camera: Camera, settings: RenderSettings) -> CameraArrays:
     half_x, half_y = half * view_width / fitted, half * view_height / fitted
     shift_x, shift_y = 2.0 * half * camera.shift_x, 2.0 * half * camera.shift_y
     plane = np.array(
-        [[shift_x - half_x, shift_y - half_y], [2.0 * half_x / settings.width, 2.0 * half_y / settings.height]]
+        [
+            [shift_x - half_x, shift_y - half_y],
+            [2.0 * half_x / settings.width, 2.0 * half_y / settings.height],
+        ]
     )
     world_from_camera = np.array(camera.world_from_camera, np.float64)[:3, :4]
     world_from_camera[:, :3] /= np.linalg.norm(world_from_camera[:, :3], axis=0)
@@ -200,7 +209,9 @@ def generate_rays(camera: CameraArrays, x, y, u, rays: Rays, width, spread, star
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sample_rays(camera: CameraArrays, tables, seed, x, y, sample, rays: Rays, seeds, width, spread, start, stop):
+def sample_rays(
+    camera: CameraArrays, tables, seed, x, y, sample, rays: Rays, seeds, width, spread, start, stop
+):
     """`generate_rays` with its random numbers: sample number sample[k] of pixel (x[k], y[k]), dimension set 0.
 
     tables: rng.sobol_tables(); seed: the settings' seed; sample (N,) int32; seeds (N,) uint32: filled with the pixels'
