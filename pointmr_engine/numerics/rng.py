@@ -1,9 +1,9 @@
 """Random numbers without state: shuffled, Owen-scrambled Sobol points in padded sets of four dimensions.
 
 Burley, Practical Hash-based Owen Scrambling (2020); the scrambling hash is Vegdahl's improved Laine-Karras permutation.
-A sample is a pure function of (pixel seed, dimension set, sample index): any thread may compute it, in any order. Within
-a set the four dimensions are stratified together, best in the first two; different sets and different pixels are
-decorrelated. Values lie in [0, 1) and have 24 bits, so that they stay below one as float32, too.
+A sample is a pure function of (pixel seed, dimension set, sample index): any thread may compute it, in any order.
+Within a set the four dimensions are stratified together, best in the first two; different sets and different pixels
+are decorrelated. Values lie in [0, 1) and have 24 bits, so that they stay below one as float32, too.
 """
 
 from __future__ import annotations
