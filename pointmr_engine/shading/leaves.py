@@ -62,9 +62,11 @@ COLUMNS: dict[int, tuple[str, ...]] = {
         "thin_film_thickness",
         "thin_film_ior",
     ),
-    DIFFUSE: (*_WEIGHT, "roughness"),  # weight includes the colour, here and below
-    GLOSSY: (*_WEIGHT, "roughness", "anisotropy", "rotation"),
-    GLASS: (*_WEIGHT, "roughness", "ior"),
+    # weight includes the colour, here and below; where multiple scattering needs the colour alone, it has columns too
+    # (all zero: the weight is taken for it)
+    DIFFUSE: (*_WEIGHT, "roughness", *_rgb("color")),
+    GLOSSY: (*_WEIGHT, "roughness", "anisotropy", "rotation", *_rgb("color")),
+    GLASS: (*_WEIGHT, "roughness", "ior", *_rgb("color"), "thin_film_thickness", "thin_film_ior"),
     REFRACTION: (*_WEIGHT, "roughness", "ior"),
     TRANSPARENT: _WEIGHT,
     TRANSLUCENT: _WEIGHT,
@@ -73,7 +75,16 @@ COLUMNS: dict[int, tuple[str, ...]] = {
     SUBSURFACE: _WEIGHT,
     HOLDOUT: _WEIGHT,
     BACKGROUND: _WEIGHT,  # radiance
-    METALLIC: (*_WEIGHT, *_rgb("base_color"), *_rgb("edge_tint"), "roughness", "anisotropy", "rotation"),
+    METALLIC: (
+        *_WEIGHT,
+        *_rgb("base_color"),
+        *_rgb("edge_tint"),
+        "roughness",
+        "anisotropy",
+        "rotation",
+        "thin_film_thickness",
+        "thin_film_ior",
+    ),
 }
 
 # variants, by name, that a leaf may carry in `distribution`

@@ -1,0 +1,71 @@
+"""The anisotropic Phong model of Ashikhmin and Shirley (2000), without its Fresnel term."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.shading.bsdf.layout import ALPHA_X, ALPHA_Y, ANISOTROPIC, NORMAL, TANGENT
+from pointmr_engine.shading.bsdf.vector import basis, combine, cross, dot, load3, normalized, to_world
+
+_SMOOTHEST = 1e-4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _exponents(lobes, i, j):
+    x = np.float64(lobes.data[i, j, ALPHA_X])
+    y = np.float64(lobes.data[i, j, ALPHA_Y])
+    return 2.0 / (x * x) - 2.0, 2.0 / (y * y) - 2.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def evaluate(lobes, i, j, wi, wo):
+    """BSDF * cos per unit weight (grey), and pdf."""
+    normal = load3(lobes.data, i, j, NORMAL)
+    cos_ni = dot(normal, wi)
+    cos_no = dot(normal, wo)
+    if cos_ni < 0.0 or cos_no < 0.0:
+        return 0.0, 0.0
+    cos_ni = max(cos_ni, 1e-6)
+    cos_no = max(cos_no, 1e-6)
+    half = normalized(combine(1.0, wi, 1.0, wo), normal)
+    cos_hi = max(abs(dot(half, wi)), 1e-6)
+    nx, ny = _exponents(lobes, i, j)
+    across = cross(normal, half)
+    sin2 = dot(across, across)
+    exponent = nx
+    if lobes.kind[i, j] & ANISOTROPIC and sin2 > 0.0:
+        x = load3(lobes.data, i, j, TANGENT)
+        hx = dot(half, x)
+        hy = dot(half, cross(normal, x))
+        exponent = (nx * hx * hx + ny * hy * hy) / sin2
+    # cos^n through the sine: the cosine itself has no digits left at high exponents
+    lobe = math.exp(0.5 * exponent * math.log1p(-min(sin2, 1.0 - 1e-12)))
+    lobe *= math.sqrt((nx + 1.0) * (ny + 1.0)) / (8.0 * math.pi)
+    pdf = lobe / cos_hi
+    return cos_no * lobe / (cos_hi * max(cos_ni, cos_no)), pdf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample(lobes, i, j, wi, u1, u2):
+    """A direction, valid or not: the caller checks its side."""
+    normal = normalized(load3(lobes.data, i, j, NORMAL), wi)
+    nx, ny = _exponents(lobes, i, j)
+    phi = 2.0 * math.pi * u1
+    if lobes.kind[i, j] & ANISOTROPIC:
+        x = load3(lobes.data, i, j, TANGENT)
+        y = cross(normal, x)
+        ratio = math.sqrt((nx + 1.0) / (ny + 1.0))
+        phi = math.atan2(ratio * math.sin(phi), math.cos(phi))
+    else:
+        x, y = basis(normal)
+    c = math.cos(phi)
+    s = math.sin(phi)
+    # 1 - u2^(1/(n+1)) without cancellation
+    exponent = math.log(max(u2, 1e-300)) / (nx * c * c + ny * s * s + 1.0)
+    cosine = math.exp(exponent)
+    sine = math.sqrt(max(-math.expm1(2.0 * exponent), 0.0))
+    half = to_world(sine * c, sine * s, cosine, x, y, normal)
+    return normalized(combine(2.0 * dot(half, wi), half, -1.0, wi), wi)
