@@ -7,10 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.scene.group import Group, Instances, unique_groups
+from pointmr_engine.numerics.pointers import address_of
+from pointmr_engine.scene.errors import SceneError
+from pointmr_engine.scene.group import Group, Instances, count_triangles, unique_groups
 from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.mesh import Mesh
 from pointmr_engine.scene.scene import Scene
+
+LARGEST = 1e12  # metres; beyond it single precision products overflow, and a vertex counts as not finite
 
 
 class PartTables(NamedTuple):
@@ -92,10 +96,180 @@ class Geometry:
 
 
 def compile_geometry(scene: Scene, needs: frozenset[str] | None = None) -> Geometry:
-    """The unique parts of `scene`; `needs` (the union of what materials ask for) is only used to convert early.
+    """The unique parts of `scene`. Attribute layers that `needs` names (as surface.gather does) are prepared at once.
 
-    Raises SceneError for a group that contains itself or a malformed mesh; what can be tolerated is skipped and named
-    in `Geometry.warnings`. Mesh and instance arrays are borrowed where their dtype allows it: do not change them while
-    the Geometry is in use.
+    Raises SceneError for a group that contains itself, a malformed mesh or a malformed batch of instances; what can be
+    tolerated is skipped and named in `Geometry.warnings`. Mesh and instance arrays are borrowed where their dtype allows
+    it: do not change them while the Geometry is in use.
     """
-    raise NotImplementedError
+    geometry = Geometry(groups=unique_groups(scene.root))
+    part_of: dict[int, int] = {}
+    batch_of: dict[int, int] = {}
+    for group in geometry.groups:
+        rows = []
+        for mesh in group.meshes:
+            if id(mesh) not in part_of:
+                part_of[id(mesh)] = len(geometry.parts)
+                geometry.warnings += mesh.validate()
+                geometry.parts.append(mesh)
+            rows.append(part_of[id(mesh)])
+        geometry.group_parts.append(rows)
+        rows = []
+        for batch in group.instances:
+            if id(batch) not in batch_of:
+                batch_of[id(batch)] = len(geometry.batches)
+                _validate_batch(batch, group)
+                geometry.batches.append(batch)
+            rows.append(batch_of[id(batch)])
+        geometry.group_batches.append(rows)
+    geometry.tables = _part_tables(geometry)
+    geometry.instances = _batch_tables(geometry)
+    geometry.unique_triangles = sum(len(s.triangles) for s in geometry.shapes)
+    _, geometry.instanced_triangles, geometry.depth = count_triangles(scene.root)
+    return geometry
+
+
+def _validate_batch(batch: Instances, group: Group) -> None:
+    where = f"instances '{batch.name}' in group '{group.name}'"
+    m, n = batch.transforms, len(batch.transforms)
+    if m.ndim != 3 or m.shape[1:] != (3, 4):
+        raise SceneError(f"{where}: transforms of shape {m.shape}, expected (N, 3, 4)")
+    if n and not batch.groups:
+        raise SceneError(f"{where}: no group to place")
+    for name in ("group_index", "visibility", "object_index", "seed", "color"):
+        values = getattr(batch, name)
+        if values is not None and len(values) not in (1, n):
+            raise SceneError(f"{where}: {len(values)} values of {name} for {n} placements")
+    index = batch.group_index
+    if index is not None and len(index) and (index.min() < 0 or index.max() >= len(batch.groups)):
+        raise SceneError(f"{where}: group_index outside 0..{len(batch.groups) - 1}")
+
+
+def _identity(array: np.ndarray) -> tuple:
+    return (array.__array_interface__["data"][0], array.shape, array.strides, array.dtype.str)
+
+
+def _borrow(geometry: Geometry, array: np.ndarray | None, dtype) -> int:
+    if array is None or array.size == 0:
+        return 0
+    array = np.ascontiguousarray(array, dtype)
+    geometry.kept.append(array)
+    return address_of(array)
+
+
+def _compile_shape(mesh: Mesh, first_triangle: int) -> Shape:
+    triangles = np.ascontiguousarray(mesh.triangles, np.int32)
+    positions = mesh.positions
+    used = np.zeros(len(positions), np.bool_)
+    used[triangles.ravel()] = True
+    used &= (np.abs(positions) <= LARGEST).all(1)
+    if not used.any():
+        return Shape(
+            np.zeros(positions.shape, np.float32), triangles, np.zeros(3), 0.0, first_triangle,
+            np.full(3, np.inf), np.full(3, -np.inf),
+        )  # fmt: skip
+    kept = positions if used.all() else positions[used]
+    lower, upper = kept.min(0).astype(np.float64), kept.max(0).astype(np.float64)
+    center, half = (lower + upper) / 2, float((upper - lower).max()) / 2
+    if positions.dtype == np.float32 and np.abs(center).max() <= half:
+        center = np.zeros(3)  # near enough to its origin that shifting would gain nothing: use the array as it is
+        stored = np.ascontiguousarray(positions)
+    else:
+        stored = np.ascontiguousarray(positions - center, np.float32)
+    radius = float(max(np.abs(lower - center).max(), np.abs(upper - center).max()))
+    return Shape(stored, triangles, center, radius, first_triangle, lower, upper)
+
+
+def _part_tables(geometry: Geometry) -> PartTables:
+    shape_of: dict[tuple, int] = {}
+    material_of: dict[int, int] = {}
+    rows = {name: [] for name in PartTables._fields}
+    first_triangle = 0
+    for mesh in geometry.parts:
+        key = (*_identity(mesh.positions), *_identity(mesh.triangles))
+        if key not in shape_of:
+            shape_of[key] = len(geometry.shapes)
+            geometry.shapes.append(_compile_shape(mesh, first_triangle))
+            first_triangle += len(mesh.triangles)
+            if first_triangle >= 2**31:
+                raise SceneError(f"mesh '{mesh.name}': more than 2^31 unique triangles in the scene")
+        index = shape_of[key]
+        shape = geometry.shapes[index]
+        rows["shape"].append(index)
+        rows["first_triangle"].append(shape.first_triangle)
+        rows["center"].append(shape.center)
+        rows["radius"].append(shape.radius)
+        rows["positions"].append(address_of(shape.positions))
+        rows["triangles"].append(address_of(shape.triangles))
+        rows["normals"].append(_borrow(geometry, mesh.normals, np.float32))
+        rows["normals_per_corner"].append(mesh.normals is not None and mesh.normals.ndim == 3)
+        rows["first_slot"].append(len(rows["slot_material"]))
+        materials = mesh.materials or (None,)
+        rows["slots"].append(len(materials))
+        rows["material_index"].append(_borrow(geometry, mesh.material_index, np.int32) if len(materials) > 1 else 0)
+        for material in materials:
+            if id(material) not in material_of:
+                material_of[id(material)] = len(geometry.materials)
+                geometry.materials.append(material)
+            rows["slot_material"].append(material_of[id(material)])
+        box = np.stack([shape.lower, shape.upper]) if mesh.generated is None else np.asarray(mesh.generated)
+        rows["generated"].append(np.where(np.isfinite(box), box, 0.0))
+    return PartTables(
+        shape=np.array(rows["shape"], np.int32),
+        first_triangle=np.array(rows["first_triangle"], np.int32),
+        center=np.array(rows["center"], np.float64).reshape(-1, 3),
+        radius=np.array(rows["radius"], np.float64),
+        positions=np.array(rows["positions"], np.uint64),
+        triangles=np.array(rows["triangles"], np.uint64),
+        normals=np.array(rows["normals"], np.uint64),
+        normals_per_corner=np.array(rows["normals_per_corner"], np.bool_),
+        material_index=np.array(rows["material_index"], np.uint64),
+        first_slot=np.array(rows["first_slot"], np.int32),
+        slots=np.array(rows["slots"], np.int32),
+        slot_material=np.array(rows["slot_material"], np.int32),
+        generated=np.array(rows["generated"], np.float64).reshape(-1, 2, 3),
+    )
+
+
+def _optional(batches: list[Instances], name: str, dtype, shape: tuple = ()) -> tuple[np.ndarray, np.ndarray]:
+    """(first, stride) per batch and the values of all batches that have them; a single array is not copied."""
+    where = np.full((len(batches), 2), -1, np.int64)
+    arrays, first = [], 0
+    for i, batch in enumerate(batches):
+        values = getattr(batch, name)
+        if values is not None and len(values):
+            values = np.ascontiguousarray(values, dtype).reshape(len(values), *shape)
+            where[i] = first, int(len(values) > 1)
+            arrays.append(values)
+            first += len(values)
+    if len(arrays) == 1:
+        return where, arrays[0]
+    return where, np.concatenate(arrays) if arrays else np.zeros((0, *shape), dtype)
+
+
+def _batch_tables(geometry: Geometry) -> BatchTables:
+    group_of = {id(g): i for i, g in enumerate(geometry.groups)}
+    batches = geometry.batches
+    lengths = np.array([0] + [len(b) for b in batches], np.int64)
+    if lengths.sum() >= 2**31:
+        raise SceneError("more than 2^31 instances in the scene")
+    group_rows: list[int] = []
+    group_first = []
+    for batch in batches:
+        group_first.append(len(group_rows))
+        group_rows += [group_of[id(g)] for g in batch.groups]
+    optional = {
+        "group": _optional(batches, "group_index", np.int32),
+        "visibility": _optional(batches, "visibility", np.uint8),
+        "object_index": _optional(batches, "object_index", np.int32),
+        "seed": _optional(batches, "seed", np.uint32),
+        "color": _optional(batches, "color", np.float32, (4,)),
+    }
+    return BatchTables(
+        first_record=np.cumsum(lengths),
+        transforms=np.array([_borrow(geometry, b.transforms, np.float64) for b in batches], np.uint64),
+        group_first=np.array(group_first, np.int32),
+        batch_groups=np.array(group_rows, np.int32),
+        **{name: where for name, (where, _) in optional.items()},
+        **{f"{name}_values": values for name, (_, values) in optional.items()},
+    )

@@ -1,0 +1,211 @@
+"""What hierarchies are built over: boxes of triangles and of instances, and leaf blocks of triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.hierarchy.bvh_build import NUMBER
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.numerics.pointers import pointer_f64
+from pointmr_engine.numerics.transforms import is_singular
+from pointmr_engine.scene.group import HOLDOUT
+
+LIMIT = np.float32(1e12)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _triangle_boxes(positions, triangles, prims, numbers):
+    n = 0
+    for i in range(len(triangles)):
+        a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
+        usable = True
+        for k in range(3):
+            x, y, z = positions[a, k], positions[b, k], positions[c, k]
+            if not (abs(x) <= LIMIT and abs(y) <= LIMIT and abs(z) <= LIMIT):
+                usable = False
+            prims[n, k] = min(x, y, z)
+            prims[n, 4 + k] = -max(x, y, z)
+        same = True  # a triangle that repeats a vertex has no area and is never hit
+        for k in range(3):
+            same = same and (positions[a, k] == positions[b, k])
+        if not same:
+            same = True
+            for k in range(3):
+                same = same and (positions[a, k] == positions[c, k])
+        if not same:
+            same = True
+            for k in range(3):
+                same = same and (positions[b, k] == positions[c, k])
+        if usable and not same:
+            prims[n, 7] = np.float32(0)
+            numbers[n, NUMBER] = i
+            n += 1
+    return n
+
+
+def triangle_boxes(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Primitives (N, 8) of bvh_build for all triangles with finite corners and not all too equal ones."""
+    prims = np.empty((len(triangles) + 1, 8), np.float32)
+    n = _triangle_boxes(positions, triangles, prims, prims.view(np.int32))
+    return prims[:n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _triangle_blocks(numbers, ranges, positions, triangles, first_triangle, blocks, ids):
+    for leaf in range(len(ranges)):
+        for lane in range(8):
+            row = ranges[leaf, 0] + lane
+            if row < ranges[leaf, 1]:
+                i = numbers[row, NUMBER]
+                ids[leaf, lane] = first_triangle + i
+                for vertex in range(3):
+                    for k in range(3):
+                        blocks[leaf, (vertex * 3 + k) * 8 + lane] = positions[triangles[i, vertex], k]
+            else:
+                ids[leaf, lane] = -1
+                for k in range(9):
+                    blocks[leaf, k * 8 + lane] = np.nan
+
+
+def triangle_blocks(prims, ranges, positions, triangles, first_triangle) -> tuple[np.ndarray, np.ndarray]:
+    """(blocks (leaves, 72) float32, triangles (leaves, 8) int32) of the leaves; unused lanes NaN and -1."""
+    blocks = np.empty((len(ranges), 72), np.float32)
+    ids = np.empty((len(ranges), 8), np.int32)
+    _triangle_blocks(prims.view(np.int32), ranges, positions, triangles, first_triangle, blocks, ids)
+    return blocks, ids
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _instance_bounds(address, count, group_index, groups, lower, upper, lo, hi):
+    """Unite the boxes of a batch's placements into lo, hi; returns (singular or broken placements, the first)."""
+    m = pointer_f64(address)
+    bad, first = 0, -1
+    box = np.empty(6)
+    for i in range(count):
+        g = groups[group_index[i if len(group_index) > 1 else 0] if len(group_index) else 0]
+        if not lower[g, 0] <= upper[g, 0]:
+            continue
+        if is_singular(m, 12 * i):
+            if bad == 0:
+                first = i
+            bad += 1
+            continue
+        _placed_box(m, 12 * i, lower[g], upper[g], box)
+        for k in range(3):
+            lo[k] = min(lo[k], box[k])
+            hi[k] = max(hi[k], box[3 + k])
+    return bad, first
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _placed_box(m, at, lower, upper, box):
+    for k in range(3):
+        middle, half = m[at + 4 * k + 3], 0.0
+        for c in range(3):
+            middle += m[at + 4 * k + c] * 0.5 * (lower[c] + upper[c])
+            half += abs(m[at + 4 * k + c]) * 0.5 * (upper[c] - lower[c])
+        box[k] = middle - half
+        box[3 + k] = middle + half
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _instance_boxes(address, count, group_index, groups, lower, upper, center, slack, visibility, n, prims, numbers,
+                    records, batches, first_record, batch):  # fmt: skip
+    m = pointer_f64(address)
+    box = np.empty(6)
+    for i in range(count):
+        g = groups[group_index[i if len(group_index) > 1 else 0] if len(group_index) else 0]
+        if not lower[g, 0] <= upper[g, 0] or is_singular(m, 12 * i):
+            continue
+        if len(visibility) and visibility[i if len(visibility) > 1 else 0] & np.uint8(63) == 0:
+            continue
+        _placed_box(m, 12 * i, lower[g], upper[g], box)
+        for k in range(3):
+            prims[n, k] = np.float32(box[k] - center[k] - slack)
+            prims[n, 4 + k] = -np.float32(box[3 + k] - center[k] + slack)
+        prims[n, 7] = np.float32(0)
+        numbers[n, NUMBER] = n
+        records[n] = first_record + i
+        batches[n] = batch
+        n += 1
+    return n
+
+
+class GroupBuilder:
+    """Boxes of what groups hold, children before parents; keeps every group's bounds in its own space."""
+
+    def __init__(self, geometry: Geometry, shape_root: np.ndarray, warnings: list[str]):
+        n = len(geometry.groups)
+        self.geometry, self.warnings = geometry, warnings
+        self.lower, self.upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+        self.center, self.radius = np.zeros((n, 3)), np.zeros(n)
+        self.only_part = np.full(n, -1, np.int32)
+        self.children: list[list[int]] = [[] for _ in range(n)]
+        self._has_triangles = shape_root != -(2**31)
+        self._reported: set[int] = set()
+
+    def boxes(self, g: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """(primitives (N, 8), records (N,) int32, batches (N,) int32) of group g; None when there is nothing in it."""
+        geometry, tables = self.geometry, self.geometry.instances
+        parts = [p for p in geometry.group_parts[g] if self._has_triangles[geometry.tables.shape[p]]]
+        lo, hi = np.full(3, np.inf), np.full(3, -np.inf)
+        for p in parts:
+            shape = geometry.shapes[geometry.tables.shape[p]]
+            lo, hi = np.minimum(lo, shape.lower), np.maximum(hi, shape.upper)
+        batches = geometry.group_batches[g]
+        count = len(parts)
+        for b in batches:
+            batch = geometry.batches[b]
+            bad, first = _instance_bounds(*self._placed(b), lo, hi)
+            count += len(batch)
+            if bad and b not in self._reported:
+                self._reported.add(b)
+                self.warnings.append(
+                    f"instances '{batch.name}' in group '{geometry.groups[g].name}': {bad} of {len(batch)} placements "
+                    f"have a singular or infinite matrix and are skipped (the first is number {first})"
+                )
+        if not (lo <= hi).all():
+            return None
+        self.lower[g], self.upper[g] = lo, hi
+        self.center[g] = (lo + hi) / 2
+        self.radius[g] = np.maximum(hi - lo, 0).max() / 2
+        # boxes are stored in single precision about the centre: round outwards, whatever the rounding mode
+        slack = self.radius[g] * 2.0**-22 + np.abs(self.center[g]).max() * 2.0**-50
+        self.radius[g] += slack
+        prims = np.empty((count, 8), np.float32)
+        records, item_batch = np.empty(count, np.int32), np.full(count, -1, np.int32)
+        for n, p in enumerate(parts):
+            shape = geometry.shapes[geometry.tables.shape[p]]
+            prims[n, :3] = shape.lower - self.center[g] - slack
+            prims[n, 4:7] = -(shape.upper - self.center[g] + slack)
+            prims[n, 7] = 0
+            prims.view(np.int32)[n, NUMBER] = n
+            records[n] = ~p
+        n = len(parts)
+        numbers = prims.view(np.int32)
+        for b in batches:
+            address, size, index, groups, *_ = self._placed(b)
+            visibility = geometry.batches[b].visibility
+            visibility = np.zeros(0, np.uint8) if visibility is None else np.ascontiguousarray(visibility, np.uint8)
+            n = _instance_boxes(
+                address, size, index, groups, self.lower, self.upper, self.center[g], slack, visibility,
+                n, prims, numbers, records, item_batch, tables.first_record[b], b,
+            )  # fmt: skip
+            self.children[g] += sorted({int(c) for c in groups})
+        if n == 0:
+            return None
+        if n == 1 and len(parts) == 1:
+            self.only_part[g] = parts[0]
+        return prims[:n], records[:n], item_batch[:n]
+
+    def _placed(self, b: int):
+        tables, batch = self.geometry.instances, self.geometry.batches[b]
+        first = tables.group_first[b]
+        groups = tables.batch_groups[first : first + len(batch.groups)]
+        where, step = tables.group[b]
+        index = tables.group_values[:0] if where < 0 else tables.group_values[where : where + (len(batch) if step else 1)]
+        return tables.transforms[b], len(batch), index, groups, self.lower, self.upper
+
+
+assert HOLDOUT == 64  # the bits below it are ray visibility
