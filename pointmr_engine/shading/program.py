@@ -1,23 +1,107 @@
 """Node graphs compiled to short numpy programs over batches of surface points.
 
-`compile_graph` removes what nothing reads, folds constants, flattens mix and add shaders into leaves with weights, and
-says what the program needs of a point. `Program.evaluate` then runs every remaining node once per batch.
+`compile_graph` removes what nothing reads, folds constants, flattens mix and add shaders into leaves with weights,
+and says what the program needs of a point. `Program.evaluate` then runs every remaining node once per batch.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from pointmr_engine.scene.graph import Graph
-from pointmr_engine.shading.leaves import Leaf
-from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
+from pointmr_engine.shading.differentials import moved_points, tangent_axes
+from pointmr_engine.shading.leaves import COLUMNS, Leaf
+from pointmr_engine.shading.nodes.registry import Call
+from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
+
+
+@dataclass(frozen=True)
+class LeafPlan:
+    """How a leaf is filled: which source fills which columns, and what each varies with.
+
+    columns: (first column, number of columns, source); column_varying: input name -> subset of {"surface", "view",
+    "ray", "instance"}; normals: the Leaf's fields "normal", "coat_normal", "tangent" -> source.
+    """
+
+    kind: int
+    columns: tuple[tuple[int, int, Source], ...]
+    column_varying: dict[str, frozenset[str]]
+    normals: dict[str, Source]
+    distribution: str
+    max_lobes: int
+    template: np.ndarray  # (1, columns) float32, the constant columns filled
+
+    @property
+    def varying_with(self) -> frozenset[str]:
+        """What anything of the leaf varies with."""
+        return frozenset().union(*self.column_varying.values())
+
+
+class Plan:
+    """The steps that some sources depend on, with the outputs wanted of each, and what they read from the points."""
+
+    def __init__(self, steps: list[Step], sources: list[Source]) -> None:
+        wanted: dict[int, set[str]] = {}
+        self.sub: dict[tuple[int, str], Plan] = {}
+        needs: set[str] = set()
+        for s in sources:
+            if isinstance(s, Slot):
+                wanted.setdefault(s.step, set()).add(s.output)
+        for index in range(max(wanted, default=-1), -1, -1):
+            if index not in wanted:
+                continue
+            step = steps[index]
+            ignored = step.type.ignores(step.params, frozenset(wanted[index]))
+            for name, source in step.inputs.items():
+                if isinstance(source, Slot) and name not in ignored:
+                    wanted.setdefault(source.step, set()).add(source.output)
+            needs.update(step.type.reads(step.params, frozenset(wanted[index])))
+            for name in step.type.differenced:
+                if isinstance(step.inputs[name], Slot):
+                    self.sub[index, name] = sub = Plan(steps, [step.inputs[name]])
+                    needs |= sub.needs
+        self.steps = [(i, steps[i], frozenset(wanted[i])) for i in sorted(wanted)]
+        self.needs = frozenset(needs)
+
+    def run(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
+        """Values of all wanted outputs, each node evaluated once."""
+        memo: dict[tuple[int, str], np.ndarray] = {}
+        displaced: dict[tuple[int, float], SurfacePoints] = {}
+        for index, step, wanted in self.steps:
+            ignored = step.type.ignores(step.params, wanted)
+            inputs = {name: read(s, memo) for name, s in step.inputs.items() if name not in ignored}
+            moved = self._mover(index, step, points, displaced) if step.type.differenced else None
+            values = step.type.evaluate(Call(inputs, step.params, points, wanted, moved))
+            for name in wanted:
+                memo[index, name] = np.asarray(values[name], np.float32)
+        return memo
+
+    def _mover(self, index: int, step: Step, points: SurfacePoints, displaced: dict):
+        def moved(name: str, axis: int, width: float) -> np.ndarray:
+            source = step.inputs[name]
+            if (index, name) not in self.sub:
+                return read(source, {})
+            if (axis, width) not in displaced:
+                direction = tangent_axes(points.geometric_normal)[axis]
+                displaced[axis, width] = moved_points(points, direction * (points.footprint * width)[:, None])
+            return read(source, self.sub[index, name].run(displaced[axis, width]))
+
+        return moved
+
+
+def read(source: Source, memo: dict[tuple[int, str], np.ndarray]) -> np.ndarray:
+    """A source's value."""
+    return source.value if isinstance(source, Constant) else memo[source.step, source.output]
 
 
 class Program:
     """A compiled graph. It holds no state between calls: threads may share it.
 
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
-        "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME".
+        "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
     transparency_needs, emission_needs: the same for `transparency` and `emission`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
@@ -26,39 +110,151 @@ class Program:
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
     """
 
-    needs: frozenset[str]
-    transparency_needs: frozenset[str]
-    emission_needs: frozenset[str]
-    varying_with: frozenset[str]
-    surface_only: bool
-    leaves: tuple
-    opaque: bool
-    emissive: bool
-    constant_emission: tuple[float, float, float] | None
-    max_lobes: int
-    warnings: list[str]
+    def __init__(
+        self,
+        kind: str,
+        steps: list[Step],
+        leaves: list[LeafPlan],
+        transparency: list[Source],
+        emission: list[Source],
+        warnings: list[str],
+    ) -> None:
+        self.kind = kind
+        self.leaves = tuple(leaves)
+        self.warnings = warnings
+        sources = [s for leaf in leaves for _, _, s in leaf.columns]
+        sources += [s for leaf in leaves for s in leaf.normals.values()]
+        self._plan = Plan(steps, sources)
+        self._transparency, self._emission = transparency, emission
+        self._transparency_plan = Plan(steps, transparency)
+        self._emission_plan = Plan(steps, emission)
+        self.needs: frozenset[str] = self._plan.needs
+        self.transparency_needs: frozenset[str] = self._transparency_plan.needs
+        self.emission_needs: frozenset[str] = self._emission_plan.needs
+        self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
+        self.surface_only: bool = self.varying_with <= {"surface"}
+        self.opaque: bool = not transparency
+        self.emissive: bool = bool(emission)
+        self.constant_emission: tuple[float, float, float] | None = None
+        if all(isinstance(s, Constant) for s in emission):
+            self.constant_emission = tuple(float(v) for v in _sum(emission, {}, 1)[0])
+        self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves)
 
     def evaluate(self, points: SurfacePoints) -> list[Leaf]:
-        """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies."""
-        raise NotImplementedError
+        """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies. Blocks are read-only."""
+        with np.errstate(all="ignore"):
+            memo = self._plan.run(points)
+        return [_fill(leaf, memo) for leaf in self.leaves]
 
     def transparency(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32 share of light that passes straight through, for shadow rays."""
-        raise NotImplementedError
+        with np.errstate(all="ignore"):
+            return _sum(self._transparency, self._transparency_plan.run(points), points.count)
 
     def emission(self, points: SurfacePoints) -> np.ndarray:
-        """(N, 3) float32 emitted radiance (background radiance for a world)."""
-        raise NotImplementedError
+        """(N, 3) float32 emitted radiance (background radiance for a world), without a coat's or sheen's shading."""
+        with np.errstate(all="ignore"):
+            return _sum(self._emission, self._emission_plan.run(points), points.count)
+
+
+def _sum(terms: list[Source], memo: dict[tuple[int, str], np.ndarray], count: int) -> np.ndarray:
+    total = np.zeros((count, 3), np.float32)
+    for term in terms:
+        value = read(term, memo)
+        total += value if value.ndim == 2 else value[:, None]
+    return np.nan_to_num(total, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _fill(leaf: LeafPlan, memo: dict[tuple[int, str], np.ndarray]) -> Leaf:
+    normals = {name: read(s, memo) for name, s in leaf.normals.items()}
+    columns = [(c, w, read(s, memo)) for c, w, s in leaf.columns if isinstance(s, Slot)]
+    block = leaf.template
+    if columns:
+        block = np.repeat(block, max(len(v) for _, _, v in columns), axis=0)
+        for first, width, value in columns:
+            block[:, first : first + width] = value if value.ndim == 2 else value[:, None]
+        np.nan_to_num(block, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return Leaf(leaf.kind, block, distribution=leaf.distribution, **normals)
+
+
+def leaf_template(kind: int, columns: list[tuple[int, int, Source]]) -> np.ndarray:
+    """A leaf's block of one row, with what is constant filled in."""
+    block = np.zeros((1, len(COLUMNS[kind])), np.float32)
+    for first, width, source in columns:
+        if isinstance(source, Constant):
+            block[0, first : first + width] = source.value.ravel()
+    block.flags.writeable = False
+    return block
 
 
 def compile_graph(graph: Graph, kind: str = "surface") -> Program:
     """Compile a material ("surface"), world ("background") or lamp ("light") graph. Never raises for odd nodes."""
-    raise NotImplementedError
+    from pointmr_engine.shading.flatten import flatten
+
+    steps, leaves, transparency, emission, warnings = flatten(graph, kind)
+    return Program(kind, steps, leaves, transparency, emission, warnings)
 
 
-def evaluate_background(program: Program, directions: np.ndarray, ray_kind: int = 1) -> np.ndarray:
+def evaluate_background(
+    program: Program,
+    directions: np.ndarray,
+    ray_kind: int = RAY_CAMERA,
+    camera_from_world: np.ndarray | None = None,
+    window: np.ndarray | None = None,
+    ray_depth: int = 0,
+) -> np.ndarray:
     """Radiance (N, 3) float32 of a world program seen in unit world directions (N, 3), pointing away from the viewer.
 
-    ray_kind: bits RAY_* of shading.points, what the Light Path node sees (a camera ray by default).
+    ray_kind: bits RAY_* of shading.points, what the Light Path node sees (a camera ray by default). camera_from_world
+    (3, 4) and window (N, 2) matter only to graphs that ask for them.
     """
-    raise NotImplementedError
+    n = len(directions)
+    if not program._emission_plan.needs:
+        return program.emission(SurfacePoints(n))
+    d = np.ascontiguousarray(directions, np.float32)
+    depth = np.full(n, ray_depth, np.int32)
+    zero = np.zeros(n, np.int32)
+    camera = None
+    if camera_from_world is not None:
+        camera = np.array(camera_from_world, np.float64)[:3]
+        camera[:, 3] = 0  # the background is infinitely far: only the camera's rotation counts
+    needs = program._emission_plan.needs
+    points = SurfacePoints(
+        n,
+        position=np.asarray(directions, np.float64),
+        normal=-d,
+        geometric_normal=-d,
+        smooth_normal=-d,
+        incoming=-d,
+        backfacing=np.zeros(n, np.bool_),
+        generated=d,
+        local=d,
+        ray_kind=np.full(n, ray_kind, np.uint8),
+        ray_length=np.full(n, np.finfo(np.float32).max, np.float32),
+        ray_depth=depth,
+        diffuse_depth=zero,
+        glossy_depth=zero,
+        transmission_depth=zero,
+        transparent_depth=zero,
+        footprint=np.zeros(n, np.float32),
+        barycentric=np.zeros((n, 2), np.float32),
+        object_location=np.zeros((n, 3), np.float32),
+        object_color=np.zeros((n, 4), np.float32),
+        object_index=zero,
+        object_random=np.zeros(n, np.float32),
+        camera_from_world=camera if camera is not None else np.eye(4)[:3],
+        window=window if window is not None else np.zeros((n, 2), np.float32),
+    )
+    for need in needs:
+        group, _, name = need.partition(":")
+        if group == "uv":
+            points.uvs[name] = np.zeros((n, 2), np.float32)
+        elif group == "tangent":
+            points.tangents[name] = np.zeros((n, 4), np.float32)
+        elif group == "uv_footprint":
+            points.uv_footprints[name] = np.zeros(n, np.float32)
+        elif group == "attribute":
+            points.attributes[name] = np.zeros((n, 4), np.float32)
+        elif group == "instance_attribute":
+            points.instance_attributes[name] = np.zeros((n, 4), np.float32)
+    return program.emission(points)

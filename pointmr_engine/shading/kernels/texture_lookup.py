@@ -1,0 +1,103 @@
+"""Looking up a mip pyramid: bilinear within a level, linear between levels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+REPEAT, EXTEND, CLIP, MIRROR = range(4)
+# bits of `flags`
+CLOSEST, SRGB, UNASSOCIATE = 1, 2, 4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def wrap_texel(i, n, extension):
+    """Index of texel i in 0..n-1, or -1 outside a clipped image."""
+    if 0 <= i < n:
+        return i
+    if extension == REPEAT:
+        return i % n
+    if extension == EXTEND:
+        return 0 if i < 0 else n - 1
+    if extension == MIRROR:
+        m = (i if i >= 0 else -i - 1) % (2 * n)
+        return 2 * n - m - 1 if m >= n else m
+    return -1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_texel(texels, offset, width, height, x, y, extension, weight, out):
+    """Add weight times texel (x, y) of the level at `offset` to out (4,)."""
+    x = wrap_texel(x, width, extension)
+    y = wrap_texel(y, height, extension)
+    if x >= 0 and y >= 0 and weight != 0.0:
+        k = offset + 4 * (y * width + x)
+        for c in range(4):
+            out[c] += weight * texels[k + c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def srgb_to_linear(x):
+    """The sRGB decoding curve."""
+    if x < 0.04045:
+        return max(x, 0.0) / 12.92
+    return ((x + 0.055) / 1.055) ** 2.4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lookup_level(texels, levels, level, u, v, extension, flags, scale, out):
+    """Premultiplied scene-linear RGBA of one level at (u, v), into out (4,)."""
+    offset, width, height = levels[level, 0], levels[level, 1], levels[level, 2]
+    for c in range(4):
+        out[c] = 0.0
+    x, y = u * width, v * height
+    if flags & CLOSEST:
+        add_texel(texels, offset, width, height, int(np.floor(x)), int(np.floor(y)), extension, 1.0, out)
+    else:
+        x0, y0 = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
+        fx, fy = x - 0.5 - x0, y - 0.5 - y0
+        add_texel(texels, offset, width, height, x0, y0, extension, (1.0 - fx) * (1.0 - fy), out)
+        add_texel(texels, offset, width, height, x0 + 1, y0, extension, fx * (1.0 - fy), out)
+        add_texel(texels, offset, width, height, x0, y0 + 1, extension, (1.0 - fx) * fy, out)
+        add_texel(texels, offset, width, height, x0 + 1, y0 + 1, extension, fx * fy, out)
+    for c in range(4):
+        out[c] *= scale
+    if flags & UNASSOCIATE and out[3] != 0.0 and out[3] != 1.0:
+        for c in range(3):
+            out[c] /= out[3]
+    if flags & SRGB:
+        for c in range(3):
+            out[c] = srgb_to_linear(out[c])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
+    """RGBA at uv (n, 2) float32 into out (n, 4) float32.
+
+    texels: flat float32 or uint8, all levels; levels (k, 3) int64: offset, width, height of each, finest first.
+    footprint (n or 1,) float32: width of the filter in units of uv; 0 takes the finest level. scale brings texels to
+    0..1. A level is decoded and, with UNASSOCIATE, divided by alpha after its interpolation.
+    """
+    n = uv.shape[0]
+    last = levels.shape[0] - 1
+    texels_across = np.sqrt(float(levels[0, 1]) * float(levels[0, 2]))
+    fine = np.empty(4)
+    coarse = np.empty(4)
+    for i in range(n):
+        u, v = float(uv[i, 0]), float(uv[i, 1])
+        if not (abs(u) < 1e9 and abs(v) < 1e9):
+            for c in range(4):
+                out[i, c] = 0.0
+            continue
+        width = footprint[i if footprint.shape[0] > 1 else 0] * texels_across
+        level = np.log2(width) if width > 1.0 else 0.0
+        level = min(level, float(last))
+        base = int(level)
+        lookup_level(texels, levels, base, u, v, extension, flags, scale, fine)
+        f = level - base
+        if f > 0.0 and base < last:
+            lookup_level(texels, levels, base + 1, u, v, extension, flags, scale, coarse)
+            for c in range(4):
+                fine[c] += f * (coarse[c] - fine[c])
+        for c in range(4):
+            out[i, c] = fine[c]

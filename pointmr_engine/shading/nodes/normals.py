@@ -1,0 +1,137 @@
+"""Normals and tangents: Normal Map, Tangent, Normal, and displacement seen as bump."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointmr_engine.shading.nodes.inputs import (
+    normal_to_object,
+    normal_to_world,
+    project_tangent,
+    radial_tangent,
+)
+from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, From, node
+from pointmr_engine.shading.values import cross, dot, normalize, saturate, transform_direction
+
+
+def _normal_map_reads(params: dict, wanted: frozenset[str]) -> list[str]:
+    space = params.get("space", "TANGENT")
+    if space == "TANGENT":
+        return [f"tangent:{params.get('layer', '')}", "smooth_normal", "backfacing"]
+    return ["backfacing"] + ["world_from_part"] * ("OBJECT" in space)
+
+
+@node(
+    "normal_map",
+    {
+        "strength": (FLOAT, 1.0),
+        "color": (COLOR, (0.5, 0.5, 1.0)),
+        "shading_normal": (VECTOR, From("normal")),
+    },
+    {"normal": VECTOR},
+    reads=_normal_map_reads,
+)
+def _normal_map(c: Call) -> np.ndarray:
+    """params: space "TANGENT", "OBJECT", "WORLD", "BLENDER_OBJECT", "BLENDER_WORLD"; layer of the tangents."""
+    space, points = c.params.get("space", "TANGENT"), c.points
+    color = 2 * c["color"] - 1
+    strength = c.vector("strength")
+    shading = c["shading_normal"]
+    if space == "TANGENT":
+        tangent = points.tangents[c.params.get("layer", "")]
+        up = points.smooth_normal
+        x, y = color[:, :1] * strength, color[:, 1:2] * strength
+        z = 1 + (color[:, 2:] - 1) * saturate(strength)
+        across = cross(up, tangent[:, :3]) * tangent[:, 3:]
+        n = normalize(x * tangent[:, :3] + y * across + z * up)
+        n = np.where((tangent[:, :3] == 0).all(1)[:, None], up, n)
+        n = np.where(points.backfacing[:, None], -n, n)
+    else:
+        if space.startswith("BLENDER"):
+            color = color * np.array([1, -1, -1], np.float32)
+        n = normal_to_world(points, color) if space.endswith("OBJECT") else normalize(color)
+        n = np.where(points.backfacing[:, None], -n, n)
+        n = np.where(strength == 1, n, normalize(shading + (n - shading) * np.maximum(strength, 0)))
+    bad = ~np.isfinite(n).all(1) | (n == 0).all(1)
+    return np.where(bad[:, None], shading, n)
+
+
+def _tangent_reads(params: dict, wanted: frozenset[str]) -> list[str]:
+    if params.get("direction", "RADIAL") == "UV_MAP":
+        return [f"tangent:{params.get('layer', '')}"]
+    return ["generated", "world_from_part"]
+
+
+@node("tangent", {"shading_normal": (VECTOR, From("normal"))}, {"tangent": VECTOR}, reads=_tangent_reads)
+def _tangent(c: Call) -> np.ndarray:
+    """params: direction "RADIAL" with axis, or "UV_MAP" with layer."""
+    n = c["shading_normal"]
+    if c.params.get("direction", "RADIAL") == "UV_MAP":
+        return project_tangent(c.points.tangents[c.params.get("layer", "")][:, :3], n)
+    return radial_tangent(c.points, c.points.generated, n, c.params.get("axis", "Z"))
+
+
+@node("normal", {"normal": (VECTOR, From("normal"))}, {"normal": VECTOR, "dot": FLOAT})
+def _normal(c: Call) -> dict[str, np.ndarray]:
+    """params: direction, the vector that the node's sphere shows."""
+    direction = normalize(np.asarray(c.params.get("direction", (0.0, 0.0, 1.0)), np.float32).reshape(1, 3))
+    return {"normal": direction, "dot": dot(direction, normalize(c["normal"]))}
+
+
+@node(
+    "displacement",
+    {
+        "height": (FLOAT, 0.0),
+        "midlevel": (FLOAT, 0.5),
+        "scale": (FLOAT, 1.0),
+        "normal": (VECTOR, From("normal")),
+    },
+    {"displacement": VECTOR},
+    reads=lambda params, wanted: ("world_from_part",) if params.get("space", "OBJECT") == "OBJECT" else (),
+)
+def _displacement(c: Call) -> np.ndarray:
+    """params: space "OBJECT" or "WORLD"."""
+    amount = ((c["height"] - c["midlevel"]) * c["scale"])[:, None]
+    if c.params.get("space", "OBJECT") == "WORLD" or c.points.world_from_part is None:
+        return c["normal"] * amount
+    local = normal_to_object(c.points, c["normal"])
+    return transform_direction(c.points.world_from_part, local * amount)
+
+
+def _vector_displacement_reads(params: dict, wanted: frozenset[str]) -> list[str]:
+    space = params.get("space", "TANGENT")
+    if space == "WORLD":
+        return []
+    if space == "OBJECT":
+        return ["world_from_part"]
+    return ["world_from_part", f"tangent:{params.get('layer', '')}"]
+
+
+@node(
+    "vector_displacement",
+    {
+        "vector": (COLOR, 0.0),
+        "midlevel": (FLOAT, 0.0),
+        "scale": (FLOAT, 1.0),
+        "shading_normal": (VECTOR, From("normal")),
+    },
+    {"displacement": VECTOR},
+    reads=_vector_displacement_reads,
+)
+def _vector_displacement(c: Call) -> np.ndarray:
+    """params: space "TANGENT" (x tangent, y normal, z bitangent), "OBJECT" or "WORLD"; layer of the tangents."""
+    space = c.params.get("space", "TANGENT")
+    v = (c["vector"] - c.vector("midlevel")) * c.vector("scale")
+    if space == "WORLD":
+        return v
+    if space == "TANGENT":
+        tangent = c.points.tangents[c.params.get("layer", "")]
+        n = c["shading_normal"]
+        across = normalize(cross(n, tangent[:, :3])) * tangent[:, 3:]
+        return tangent[:, :3] * v[:, :1] + n * v[:, 1:2] + across * v[:, 2:]
+    return v if c.points.world_from_part is None else transform_direction(c.points.world_from_part, v)
+
+
+@node("displacement_height", {"vector": (VECTOR, 0.0), "normal": (VECTOR, From("normal"))}, {"value": FLOAT})
+def _displacement_height(c: Call) -> np.ndarray:
+    return dot(c["vector"], c["normal"])

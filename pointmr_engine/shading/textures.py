@@ -1,0 +1,137 @@
+"""Images made ready to be looked up: premultiplied, with a mip pyramid averaged in linear light."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+
+import numpy as np
+
+from pointmr_engine.scene.texture import Image
+
+EXTENSIONS = ("REPEAT", "EXTEND", "CLIP", "MIRROR")
+_lock = threading.Lock()
+_made: weakref.WeakKeyDictionary[Image, Texture] = weakref.WeakKeyDictionary()
+
+
+class Texture:
+    """The mip pyramid of an image, finest level first, the texels of all levels in one flat array.
+
+    Texels keep the image's encoding (sRGB stays sRGB), alpha premultiplied, so that the finest level interpolates as
+    Cycles does; coarser levels are averages in linear light, encoded again.
+    """
+
+    def __init__(self, image: Image) -> None:
+        self.srgb = image.colorspace == "sRGB"
+        self.associated = image.alpha in ("STRAIGHT", "PREMULTIPLIED") and image.colorspace != "Non-Color"
+        self.scale = 1 / 255 if image.pixels.dtype == np.uint8 else 1.0
+        base = image.pixels
+        if image.alpha == "NONE":
+            base = base.copy()
+            base[..., 3] = 255 if base.dtype == np.uint8 else 1
+        elif image.alpha == "STRAIGHT" and self.associated and _translucent(base):
+            base = _premultiply(base)
+        levels = [base]
+        linear = None
+        while max(levels[-1].shape[:2]) > 1:
+            linear = _halve(_decode(levels[0], self.srgb, self.scale) if linear is None else linear)
+            levels.append(_encode(linear, self.srgb, base.dtype))
+        sizes = [(level.shape[1], level.shape[0]) for level in levels]
+        offsets = np.cumsum([0] + [4 * w * h for w, h in sizes[:-1]])
+        self.levels = np.array([(o, w, h) for o, (w, h) in zip(offsets, sizes, strict=True)], np.int64)
+        self.texels = np.concatenate([np.ascontiguousarray(level).ravel() for level in levels])
+
+    def look_up(
+        self,
+        uv: np.ndarray,
+        footprint: np.ndarray,
+        extension: str = "REPEAT",
+        interpolation: str = "Linear",
+        unassociate: bool = False,
+    ) -> np.ndarray:
+        """RGBA (n, 4) float32, scene-linear, at uv (n, 2), averaged over squares of side `footprint` (n or 1,).
+
+        Colours are premultiplied by alpha unless `unassociate`. Every interpolation but "Closest" is linear.
+        """
+        from pointmr_engine.shading.kernels import texture_lookup as kernel
+
+        flags = kernel.SRGB if self.srgb else 0
+        if interpolation == "Closest":
+            flags |= kernel.CLOSEST
+        if unassociate and self.associated:
+            flags |= kernel.UNASSOCIATE
+        out = np.empty((len(uv), 4), np.float32)
+        uv = np.ascontiguousarray(uv, np.float32)
+        footprint = np.ascontiguousarray(footprint, np.float32)
+        kernel.lookup(
+            self.texels, self.levels, uv, footprint, EXTENSIONS.index(extension), flags, self.scale, out
+        )
+        return out
+
+
+def texture_of(image: Image) -> Texture:
+    """The Texture of an Image, made once."""
+    with _lock:
+        texture = _made.get(image)
+        if texture is None:
+            texture = _made[image] = Texture(image)
+        return texture
+
+
+def _translucent(pixels: np.ndarray) -> bool:
+    return bool((pixels[..., 3] != (255 if pixels.dtype == np.uint8 else 1)).any())
+
+
+def _premultiply(pixels: np.ndarray) -> np.ndarray:
+    out = pixels.copy()
+    if pixels.dtype == np.uint8:
+        color = pixels[..., :3].astype(np.uint16) * pixels[..., 3:]
+        out[..., :3] = (color + 127) // 255
+    else:
+        out[..., :3] *= pixels[..., 3:]
+    return out
+
+
+def _decode(texels: np.ndarray, srgb: bool, scale: float) -> np.ndarray:
+    linear = texels.astype(np.float32)
+    if scale != 1:
+        linear *= np.float32(scale)
+    if srgb:
+        c = linear[..., :3]
+        np.copyto(
+            c, np.where(c < 0.04045, np.maximum(c, 0) / 12.92, ((np.maximum(c, 0) + 0.055) / 1.055) ** 2.4)
+        )
+    return linear
+
+
+def _encode(linear: np.ndarray, srgb: bool, dtype: np.dtype) -> np.ndarray:
+    out = linear
+    if srgb:
+        out = linear.copy()
+        c = linear[..., :3]
+        out[..., :3] = np.where(c < 0.0031308, c * 12.92, 1.055 * np.maximum(c, 1e-9) ** (1 / 2.4) - 0.055)
+    if dtype == np.uint8:
+        return (np.clip(out, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return out.astype(np.float32, copy=False)
+
+
+def _halve(level: np.ndarray) -> np.ndarray:
+    """The next coarser level: texels averaged in pairs, and in threes where a side is odd, by exact area."""
+    return _halve_axis(_halve_axis(level, 0), 1)
+
+
+def _halve_axis(level: np.ndarray, axis: int) -> np.ndarray:
+    n = level.shape[axis]
+    if n == 1:
+        return level
+    a = np.moveaxis(level, axis, 0)
+    m = n // 2
+    if n % 2 == 0:
+        out = (a[0::2] + a[1::2]) * np.float32(0.5)
+    else:
+        # texel i of m covers [i, i + 1] n / m of the finer ones: two whole ones' worth and a share of a third
+        i = np.arange(m, dtype=np.float32)
+        shape = (m,) + (1,) * (a.ndim - 1)
+        first, last = ((m - i) / n).reshape(shape), ((i + 1) / n).reshape(shape)
+        out = a[0 : 2 * m : 2] * first + a[1 : 2 * m : 2] * np.float32(m / n) + a[2 : 2 * m + 1 : 2] * last
+    return np.ascontiguousarray(np.moveaxis(out, 0, axis))
