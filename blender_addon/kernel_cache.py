@@ -73,9 +73,8 @@ def folder() -> Path:
     bases = (user_cache_folder() / "pointmr", Path(tempfile.gettempdir()) / f"pointmr-{user}")
     base = next((b for b in bases if writable(b)), None)
     if base is None:
-        raise OSError(
-            f"no writable folder for compiled kernels; set NUMBA_CACHE_DIR (tried {', '.join(map(str, bases))})"
-        )
+        tried = ", ".join(map(str, bases))
+        raise OSError(f"no writable folder for compiled kernels: set NUMBA_CACHE_DIR (tried {tried})")
     return base / source_hash(engine)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from blender_addon.sync.report import Cancelled
+from .report import Cancelled
 
 __all__ = ["Cancelled", "export", "settings_from_blender"]
 
@@ -16,7 +16,8 @@ def export(depsgraph, *, report=None, cancel=None, progress=None, view_layer=Non
     What cannot be read is left out with a warning; a missing or unsupported camera leaves `scene.camera` None with an error.
     Raises Cancelled.
     """
-    from blender_addon.sync.export import export_scene
+    # The module is not named export: importing it would put it in this function's place.
+    from .scene import export_scene
 
     return export_scene(
         depsgraph, report=report, cancel=cancel, progress=progress, view_layer=view_layer, camera=camera
@@ -28,6 +29,6 @@ def settings_from_blender(scene, view_layer=None, *, report=None):
 
     view_layer: None takes the scene's first. A property that the add-on did not register keeps the engine's default.
     """
-    from blender_addon.sync.settings import render_settings
+    from .settings import render_settings
 
     return render_settings(scene, view_layer, report=report)

@@ -7,9 +7,12 @@ from bpy.types import Panel
 
 from .common import PointMRPanel, split_layout
 
+ABOVE_BLENDERS = -1  # Blender's Simplify panel is registered earlier, and would stand first
+
 
 class POINTMR_RENDER_PT_sampling(PointMRPanel, Panel):
     bl_label = "Sampling"
+    bl_order = ABOVE_BLENDERS
 
     def draw(self, context):
         split_layout(self).prop(context.scene.pointmr, "method")
@@ -48,6 +51,7 @@ class POINTMR_RENDER_PT_sampling_advanced(PointMRPanel, Panel):
 
 class POINTMR_RENDER_PT_light_paths(PointMRPanel, Panel):
     bl_label = "Light Paths"
+    bl_order = ABOVE_BLENDERS
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
@@ -92,6 +96,7 @@ class POINTMR_RENDER_PT_light_paths_caustics(PointMRPanel, Panel):
 
 class POINTMR_RENDER_PT_film(PointMRPanel, Panel):
     bl_label = "Film"
+    bl_order = ABOVE_BLENDERS
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
@@ -115,6 +120,7 @@ class POINTMR_RENDER_PT_film_pixel_filter(PointMRPanel, Panel):
 
 class POINTMR_RENDER_PT_performance(PointMRPanel, Panel):
     bl_label = "Performance"
+    bl_order = ABOVE_BLENDERS
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):

@@ -1,0 +1,102 @@
+"""The rendered viewport shows the scene, follows the view, its size and changes, and lives beside F12."""
+
+import os
+import sys
+import time
+
+sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+import bpy
+import numpy as np
+import steps
+from mathutils import Quaternion
+
+
+def red(pixels) -> float:
+    """The share of pixels that are clearly red: the cube."""
+    p = pixels.astype(int)
+    return float(((p[..., 0] > 60) & (p[..., 0] > 2 * p[..., 1]) & (p[..., 0] > 2 * p[..., 2])).mean())
+
+
+def middle_of_red(pixels):
+    p = pixels.astype(int)
+    rows, columns = np.nonzero((p[..., 0] > 60) & (p[..., 0] > 2 * p[..., 1]) & (p[..., 0] > 2 * p[..., 2]))
+    return [float(columns.mean()), float(rows.mean())] if len(rows) else None
+
+
+def session():
+    steps.register_addon()
+    steps.small_scene((320, 240), samples=64)
+    bpy.context.scene.pointmr.preview_samples = 8
+    area = steps.area_of("VIEW_3D")
+    region, space = steps.region_of(area), area.spaces.active
+    space.overlay.show_overlays = False
+    space.show_gizmo = False
+    yield 0.5
+    solid = middle_of_red_in_solid(region)
+    space.shading.type = "RENDERED"
+    start = time.monotonic()
+    yield lambda: red(steps.region_pixels(region)) > 0.005
+    steps.values["seconds_to_first_image"] = time.monotonic() - start
+    yield 3.0
+    steps.screenshot("viewport")
+    first = steps.region_pixels(region)
+    steps.values["red"] = red(first)
+    steps.values["rendered_middle"], steps.values["solid_middle"] = middle_of_red(first), solid
+
+    # Orbit: the picture must follow, and the window must stay alive meanwhile.
+    turns, longest = 8, 0.0
+    for _ in range(turns):
+        space.region_3d.view_rotation = space.region_3d.view_rotation @ Quaternion((0, 1, 0), 0.1)
+        start = time.monotonic()
+        yield 0.1
+        longest = max(longest, time.monotonic() - start)
+    steps.values["longest_pause_in_orbit"] = longest
+    yield 3.0
+    orbit = steps.region_pixels(region)
+    steps.values["changed_by_orbit"] = float(np.abs(orbit.astype(int) - first).mean())
+
+    # A change of the scene.
+    bpy.data.objects["Cube"].scale = (2, 2, 2)
+    yield 4.0
+    steps.values["red_when_larger"] = red(steps.region_pixels(region))
+    steps.screenshot("viewport_larger")
+
+    # Through the camera, orthographic, and another size of the region.
+    space.region_3d.view_perspective = "CAMERA"
+    yield 3.0
+    steps.screenshot("viewport_camera")
+    steps.values["red_through_camera"] = red(steps.region_pixels(region))
+    space.region_3d.view_perspective = "ORTHO"
+    space.show_region_ui = True
+    yield 3.0
+    steps.screenshot("viewport_ortho")
+    steps.values["red_orthographic"] = red(steps.region_pixels(steps.region_of(area)))
+
+    # F12 while the viewport renders.
+    done = []
+    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
+    bpy.context.scene.pointmr.preview_samples = 1024
+    bpy.context.preferences.view.render_display_type = "NONE"
+    yield 0.5
+    bpy.ops.render.render("INVOKE_DEFAULT")
+    yield lambda: bool(done)
+    yield 1.0
+    space.shading.type = "SOLID"
+    yield 1.0
+    space.shading.type = "RENDERED"
+    yield 2.0
+    steps.values["rendered_beside_viewport"] = True
+    space.shading.type = "SOLID"
+    yield 0.5
+
+
+def middle_of_red_in_solid(region):
+    """Where the cube is in solid mode, painted red, to compare the engine's view with Blender's own."""
+    shading = steps.area_of("VIEW_3D").spaces.active.shading
+    shading.light, shading.color_type = "FLAT", "SINGLE"
+    shading.single_color = (0.8, 0.05, 0.02)
+    bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=2)
+    return middle_of_red(steps.region_pixels(region))
+
+
+steps.run(session)
