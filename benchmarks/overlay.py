@@ -143,11 +143,13 @@ def document(records: list[dict], command: str, options) -> str:
         "",
         f"`{command}`",
         "",
-        f"`{options.method}` at {options.samples} samples a pixel ({options.real_samples} on real scenes) against Cycles at "
-        f"{options.reference_samples} ({REAL_REFERENCE} on real scenes): same film, filter and bounces, no diffuse bounces, "
-        "adaptive sampling, denoiser and clamping off. relMSE = mean((I-R)^2/(R^2+0.01)) of one render, noise and all; "
-        "noise is its variance, from two seeds; bias is relMSE less the noise of render and reference (it scatters around "
-        "zero). FLIP is its mean, LDR, 67 pixels per degree, Standard view. "
+        f"`{options.method}` at {options.samples} samples a pixel ({options.real_samples} on real scenes) against Cycles "
+        f"at {options.reference_samples} ({REAL_REFERENCE} on real scenes): same film, filter and bounces, no diffuse "
+        "bounces; adaptive sampling, denoiser and clamping off.",
+        "",
+        "relMSE = mean((I-R)^2/(R^2+0.01)) of one render, noise and all; noise is its variance, from two seeds; bias is "
+        "relMSE less the noise of render and reference, and scatters around zero. FLIP is its mean, LDR, 67 pixels per "
+        "degree, Standard view. "
         f"A feature scene passes below relMSE {MAX_REL_MSE} and FLIP {MAX_FLIP['feature']}, a real scene below FLIP "
         f"{MAX_FLIP['real']}.",
     ]

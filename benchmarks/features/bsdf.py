@@ -23,9 +23,10 @@ from benchmarks.features.stage import (
 )
 
 
-def _stage(card: bool = False) -> None:
-    studio(fill=0.25)
-    lamp("AREA", 60, (3.4, -2.0, 2.5), color=(1.0, 0.75, 0.5), shape="RECTANGLE", size=0.5, size_y=2.0)
+def _stage(card: bool = False, key=2.0) -> None:
+    studio(fill=0.25 if key < 4 else 0.4, key=key)
+    warm = (1.0, 0.75, 0.5)
+    lamp("AREA", 60, (3.4, -2.0, 2.5), color=warm, shape="RECTANGLE", size=0.6 * key, size_y=2.0)
     if card:
         plane(_card(), (0, 2.6, 1.3), 6.0, (1.45, 0, 0), uv_scale=2.0)
 
@@ -60,14 +61,13 @@ def bsdf_glossy_ashikhmin():
             "ShaderNodeBsdfAnisotropic", {"Color": COPPER, "Roughness": r}, distribution="ASHIKHMIN_SHIRLEY"
         ),
         (0.1, 0.4),
-        2.4,
     )
 
 
 @feature()
 def bsdf_glossy_anisotropic():
     """Glossy shader with anisotropy of both signs, along the UV tangent."""
-    _stage()
+    _stage(key=3.0)
 
     def surface(anisotropy):
         def build(tree):
@@ -88,31 +88,27 @@ def bsdf_glossy_anisotropic():
 @feature()
 def bsdf_mirror():
     """Glossy shader of roughness 0."""
-    _stage(card=True)
+    _stage(card=True, key=4.5)
     row(
         lambda c: _single("ShaderNodeBsdfAnisotropic", {"Color": c, "Roughness": 0.0}),
         (CREAM, (0.9, 0.4, 0.3)),
-        2.4,
     )
 
 
 @feature()
 def bsdf_glass():
     """Glass shader, smooth and rough."""
-    _stage(card=True)
+    _stage(card=True, key=4.5)
     row(
         lambda r: _single("ShaderNodeBsdfGlass", {"Color": (0.9, 1, 0.95), "Roughness": r, "IOR": 1.45}),
         (0.0, 0.3),
-        2.4,
-        1.0,
-        1.0,
     )
 
 
 @feature()
 def bsdf_glass_thin():
     """A pane of glass of real thickness: parallel faces must leave the view unbent."""
-    _stage(card=True)
+    _stage(card=True, key=4.5)
     pane = cube(
         _single("ShaderNodeBsdfGlass", {"Color": (0.85, 0.95, 0.9), "Roughness": 0.0}),
         (0, -0.3, 1.1),
@@ -126,13 +122,10 @@ def bsdf_glass_thin():
 @feature()
 def bsdf_refraction():
     """Refraction shader alone: no reflection at all."""
-    _stage(card=True)
+    _stage(card=True, key=4.5)
     row(
         lambda r: _single("ShaderNodeBsdfRefraction", {"Color": (1, 1, 1), "Roughness": r, "IOR": 1.3}),
         (0.0, 0.2),
-        2.4,
-        1.0,
-        1.0,
     )
 
 

@@ -34,7 +34,7 @@ from benchmarks.features.stage import (
 
 def _bars() -> None:
     """Thin bright bars on black, slightly turned: what a pixel filter does shows at once."""
-    world((0.02, 0.02, 0.02))
+    world((0.1, 0.1, 0.1))
     camera((0, -8, 0), (0, 0, 0))
     for i in range(7):
         bar = plane(
@@ -76,9 +76,9 @@ def film_transparent():
     world((0.4, 0.45, 0.55))
     camera()
     softbox(300)
-    sphere(principled(Base_Color=RED, Alpha=0.5), (-1.9, 0, 0.9), 0.9)
-    monkey(matte(CREAM), (0.1, 0, 0.9), 1.0)
-    sphere(principled(Transmission_Weight=1.0, Roughness=0.0), (2.1, 0, 0.9), 0.9)
+    sphere(principled(Base_Color=RED, Alpha=0.5), (-1.75, 0, 0.85), 0.8)
+    monkey(matte(CREAM), (0.0, 0, 0.85), 0.8)
+    sphere(principled(Transmission_Weight=1.0, Roughness=0.0), (1.75, 0, 0.85), 0.8)
     bpy.context.scene.render.film_transparent = True
 
 
@@ -148,7 +148,7 @@ def film_cutout_shadow():
 @feature()
 def film_visibility():
     """Objects hidden from the camera, from shadows and from reflections, and shadow-only ones."""
-    studio(fill=0.2)
+    studio(fill=0.3, key=3.5)
     sphere(principled(Base_Color=(0.9, 0.9, 0.9), Metallic=1.0, Roughness=0.05), (0, 1.4, 1.1), 1.1)
     unseen = cube(matte(RED), (-2.0, -0.3, 0.6), 1.1)
     unseen.visible_camera = False
@@ -161,7 +161,7 @@ def film_visibility():
 @feature()
 def film_visibility_light():
     """Objects that diffuse or transmission rays do not see, behind glass."""
-    studio(fill=0.2)
+    studio(fill=0.3, key=3.5)
     sphere(principled(Transmission_Weight=1.0, Roughness=0.0), (0, -0.6, 1.1), 1.0)
     cube(matte(RED), (-1.0, 1.6, 0.8), 1.2).visible_transmission = False
     panel = plane(glow((0.4, 0.7, 1.0), 6.0), (2.8, 0.4, 1.6), 1.4, (0, -1.2, 0))
@@ -172,9 +172,9 @@ def film_visibility_light():
 def film_normals():
     """Flat, smooth and split normals on coarse meshes."""
     studio(fill=0.2)
-    sphere(matte(SAND), (-2.1, 0, 0.9), 0.9, smooth=False, segments=12)
-    sphere(matte(SAND), (0, 0, 0.9), 0.9, smooth=True, segments=12)
-    last = sphere(matte(SAND), (2.1, 0, 0.9), 0.9, smooth=True, segments=12)
+    sphere(matte(SAND), (-1.72, 0, 0.82), 0.82, smooth=False, segments=12)
+    sphere(matte(SAND), (0, 0, 0.82), 0.82, smooth=True, segments=12)
+    last = sphere(matte(SAND), (1.72, 0, 0.82), 0.82, smooth=True, segments=12)
     sharp = last.data.attributes.new("sharp_edge", "BOOLEAN", "EDGE")
     flags = np.array([abs(last.data.vertices[e.vertices[0]].co.z) < 0.3 for e in last.data.edges])
     sharp.data.foreach_set("value", flags)
@@ -217,5 +217,5 @@ def film_shadow_terminator():
     camera()
     sphere(matte(CREAM), (-1.2, 0, 1.0), 1.0, segments=16)
     item = sphere(matte(CREAM), (1.2, 0, 1.0), 1.0, segments=16)
-    item.cycles.shadow_terminator_geometry_offset = 0.0 if hasattr(item, "cycles") else 0.0
+    item.cycles.shadow_terminator_geometry_offset = 0.0
     lamp("SUN", 3.0, (-5, -1.0, 1.5), (0, 0, 0.6), angle=0.0)

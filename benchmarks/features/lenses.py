@@ -48,7 +48,7 @@ def _avenue() -> None:
     for i, (color, solid) in enumerate(
         ((RED, sphere), (CREAM, cube), (BLUE, monkey), (GREEN, sphere), (SAND, cube))
     ):
-        solid(matte(color), (-1.6 + 1.0 * i, -2.0 + 2.2 * i, 0.75))
+        solid(matte(color), (-1.0 + 0.95 * i, -1.8 + 2.2 * i, 0.75))
         bpy.context.object.scale *= 0.75
     softbox(900, (-4, -4, 7), 2.5)
 
@@ -120,12 +120,12 @@ def lens_dof_round():
 
 def _lamps_out_of_focus() -> None:
     """Small bright disks behind the focus: their blur shows the shape of the aperture."""
-    world((0.01, 0.01, 0.015))
+    world((0.08, 0.09, 0.12))
     cove((0.2, 0.2, 0.22), depth=14)
     sphere(matte(CREAM), (0, 0, 0.7), 0.7)
     softbox(150, (-2, -3, 3), 1.0)
     for i, color in enumerate(((1, 0.5, 0.2), (0.3, 0.7, 1), (1, 0.9, 0.6), (0.5, 1, 0.4))):
-        sphere(glow(color, 60.0), (-3.3 + 2.2 * i, 9.0, 1.7 + 0.7 * (i % 2)), 0.14, segments=16)
+        sphere(glow(color, 9.0), (-3.3 + 2.2 * i, 9.0, 1.7 + 0.7 * (i % 2)), 0.28, segments=16)
 
 
 @feature()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import pi, radians
 
+import bpy
 import numpy as np
 
 from benchmarks.features.registry import feature
@@ -11,6 +12,7 @@ from benchmarks.features.stage import (
     BLUE,
     COPPER,
     CREAM,
+    GREY,
     RED,
     camera,
     cove,
@@ -18,9 +20,11 @@ from benchmarks.features.stage import (
     glow,
     image,
     lamp,
+    link,
     matte,
     monkey,
     node,
+    plane,
     principled,
     softbox,
     sphere,
@@ -143,8 +147,8 @@ def light_visible():
     _group()
     world((0.02, 0.02, 0.03))
     sphere(principled(Base_Color=COPPER, Metallic=1.0, Roughness=0.05), (0.1, 1.6, 1.0), 1.0)
-    lamp("AREA", 60, (-2.4, 0.9, 2.3), (0.5, -1.5, 0.5), shape="RECTANGLE", size=1.3, size_y=0.5)
-    lamp("POINT", 80, (2.0, -0.8, 2.2), color=(1, 0.6, 0.3), shadow_soft_size=0.22)
+    lamp("AREA", 90, (-1.7, 0.9, 2.2), (0.5, -2.5, 0.5), shape="RECTANGLE", size=1.3, size_y=0.6)
+    lamp("POINT", 120, (1.4, -0.8, 1.9), color=(1, 0.6, 0.3), shadow_soft_size=0.3)
 
 
 @feature()
@@ -168,8 +172,6 @@ def _sky(sun: float) -> np.ndarray:
 
 
 def _environment(strength=1.0, rotation=0.0, sun=60.0) -> None:
-    import bpy
-
     tree = tree_of(bpy.context.scene.world)
     tree.nodes.clear()
     coordinates = node(tree, "ShaderNodeTexCoord")
@@ -186,7 +188,7 @@ def _environment(strength=1.0, rotation=0.0, sun=60.0) -> None:
 def light_world_equirectangular():
     """HDR sky with a bright small sun, turned by a Mapping node; seen directly, in a mirror, and by its shadows."""
     _environment(0.8, rotation=1.1)
-    cove(depth=60.0)
+    plane(matte(GREY), (0, 0, 0), 200.0)
     camera(at=(0, -7.5, 2.0), target=(0, 0, 1.2), lens=38)
     sphere(principled(Base_Color=(0.9, 0.9, 0.9), Metallic=1.0, Roughness=0.03), (-1.35, 0.2, 1.0), 1.0)
     monkey(matte(CREAM), (1.3, 0.0, 0.95), 1.15)
@@ -195,8 +197,6 @@ def light_world_equirectangular():
 @feature()
 def light_world_mixed():
     """World seen by the camera differs from the world that lights (Light Path), as artists set it up."""
-    import bpy
-
     _group()
     bpy.data.objects["Cove"].hide_render = True
     tree = tree_of(bpy.context.scene.world)
@@ -213,16 +213,14 @@ def light_world_mixed():
 @feature()
 def light_sky_texture():
     """Blender's sky texture as the only light."""
-    import bpy
-
-    cove(depth=60.0)
+    plane(matte(GREY), (0, 0, 0), 200.0)
     camera(at=(0, -7.5, 2.0), target=(0, 0, 1.2), lens=38)
     sphere(matte(CREAM), (-1.35, 0.2, 0.9), 0.9)
     cube(matte(RED), (1.25, 0.1, 0.65), 1.3)
     tree = tree_of(bpy.context.scene.world)
     tree.nodes.clear()
     sky = node(tree, "ShaderNodeTexSky", sky_type="PREETHAM", sun_direction=(-0.5, -0.5, 0.7), turbidity=3.0)
-    background = node(tree, "ShaderNodeBackground", {"Color": sky.outputs[0], "Strength": 0.1})
+    background = node(tree, "ShaderNodeBackground", {"Color": sky.outputs[0], "Strength": 0.3})
     node(tree, "ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
 
 
@@ -233,24 +231,18 @@ def light_emissive_mesh():
     camera()
     sphere(matte(CREAM), (-1.35, 0.2, 0.9), 0.9)
     cube(matte(RED), (1.25, 0.1, 0.65), 1.3)
-    from benchmarks.features.stage import plane
-
-    plane(glow((1.0, 0.9, 0.75), 9.0), (-2.6, -1.6, 2.8), 1.1, (0.3, 0.9, 0))
-    torus(glow((0.3, 0.6, 1.0), 6.0), (0.1, -1.3, 0.2), 0.5, 0.08)
+    plane(glow((1.0, 0.9, 0.75), 12.0), (-1.9, -2.2, 3.0), 1.6, (0.7, -0.5, 0))
+    torus(glow((0.3, 0.6, 1.0), 4.0), (0.1, -1.3, 0.2), 0.5, 0.08)
 
 
 @feature()
 def light_emissive_instances():
     """One emissive mesh used by several scaled objects, one of them mirrored."""
-    import bpy
-
-    from benchmarks.features.stage import link, plane
-
     cove()
     camera()
     sphere(matte(CREAM), (-1.35, 0.2, 0.9), 0.9)
     cube(matte(RED), (1.25, 0.1, 0.65), 1.3)
-    panel = plane(glow((1.0, 0.9, 0.75), 8.0), (-2.8, -1.6, 2.4), 0.8, (0.3, 0.9, 0))
+    panel = plane(glow((1.0, 0.9, 0.75), 10.0), (-1.9, -2.2, 3.0), 1.3, (0.7, -0.5, 0))
     for at, scale in (((2.9, -1.2, 2.0), (0.7, 1.6, 1)), ((0.2, 2.0, 2.6), (-2.5, 0.3, 1))):
         other = link(bpy.data.objects.new("Panel", panel.data))
         other.location, other.scale, other.rotation_euler = at, scale, (0.5, -0.6, 0.2)
@@ -260,7 +252,7 @@ def light_emissive_instances():
 def light_temperature():
     """Colour temperature and exposure of lamps: a warm one at left, a cold one at right."""
     _group()
-    warm, cold = [
+    warm, _ = [
         lamp(
             "AREA",
             30,
@@ -305,19 +297,14 @@ def light_nodes():
 
 @feature()
 def light_many():
-    """Forty coloured point lights: the choice among them must lose none."""
+    """Two dozen coloured point lights: the choice among them must lose none."""
     _group()
     generator = np.random.default_rng(4)
-    for _ in range(40):
+    for _ in range(24):
         x, y = generator.uniform(-3.5, 3.5), generator.uniform(-2.5, 2.5)
         hue = generator.uniform(0.2, 1.0, 3)
-        lamp(
-            "POINT",
-            12,
-            (x, y, generator.uniform(0.4, 2.5)),
-            color=tuple(hue / hue.max()),
-            shadow_soft_size=0.05,
-        )
+        at, tint = (x, y, generator.uniform(1.0, 3.0)), tuple(hue / hue.max())
+        lamp("POINT", 30, at, color=tint, shadow_soft_size=0.1)
 
 
 @feature()

@@ -169,7 +169,7 @@ def torus(surface=None, at=(0, 0, 0.4), major=0.9, minor=0.35) -> bpy.types.Obje
 
 def monkey(surface=None, at=(0, 0, 1), size=1.3, turn=0.4, levels=1) -> bpy.types.Object:
     """Blender's monkey head, subdivided."""
-    bpy.ops.mesh.primitive_monkey_add(size=size, location=at, rotation=(-0.35, 0, turn))
+    bpy.ops.mesh.primitive_monkey_add(size=1.35 * size, location=at, rotation=(-0.35, 0, turn))
     item = _finish(bpy.context.object, surface, True)
     if levels:
         item.modifiers.new("Subdivision", "SUBSURF").render_levels = levels
@@ -236,12 +236,12 @@ def softbox(power=250.0, at=(-3.2, -3.5, 4.5), size=1.5, **data) -> bpy.types.Ob
     return lamp("AREA", power, at, size=size, **data)
 
 
-def studio(fill=0.15, power=300.0, floor=GREY, lens=50.0) -> None:
-    """Cove, camera, softbox and a little light from all around."""
+def studio(fill=0.15, power=300.0, floor=GREY, lens=50.0, key=1.5) -> None:
+    """Cove, camera, softbox with sides of `key` metres, and a little light from all around."""
     world((fill, fill, fill * 1.15))
     cove(floor)
     camera(lens=lens)
-    softbox(power)
+    softbox(power, size=key)
 
 
 def turned(item, x=0.0, y=0.0, z=0.0) -> bpy.types.Object:
@@ -250,8 +250,17 @@ def turned(item, x=0.0, y=0.0, z=0.0) -> bpy.types.Object:
     return item
 
 
-def row(make, values, spacing=2.1, z=0.95, radius=0.95) -> None:
-    """Spheres side by side along x, the i-th with the material make(values[i])."""
-    start = -spacing * (len(values) - 1) / 2
+def row(make, values) -> None:
+    """Spheres side by side that fill the picture, the i-th with the material make(values[i])."""
+    count = len(values)
+    radius = min(1.0, 2.45 / count)
     for i, value in enumerate(values):
-        sphere(make(value), (start + i * spacing, 0, z), radius)
+        sphere(make(value), ((2 * i + 1 - count) * radius * 1.05, 0, radius), radius)
+
+
+def panels(surfaces) -> None:
+    """Squares side by side that fill the picture, leaning back, one for each material."""
+    count = len(surfaces)
+    side = min(2.0, 5.2 / count)
+    for i, surface in enumerate(surfaces):
+        plane(surface, ((2 * i + 1 - count) * side * 0.52, 0, side * 0.55), side, (1.35, 0, 0))

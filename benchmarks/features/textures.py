@@ -16,6 +16,7 @@ from benchmarks.features.stage import (
     matte,
     monkey,
     node,
+    panels,
     plane,
     row,
     softbox,
@@ -48,11 +49,13 @@ def texture_interpolation():
     studio(fill=0.3)
     pixels = np.random.default_rng(3).uniform(0.05, 0.9, (5, 5, 3))
     small = image("Small", pixels)
-    for i, mode in enumerate(("Closest", "Linear", "Cubic")):
-        surface = _diffuse(
-            mode, lambda t, m=mode: node(t, "ShaderNodeTexImage", image=small, interpolation=m).outputs[0]
+
+    def surface(mode):
+        return _diffuse(
+            mode, lambda t: node(t, "ShaderNodeTexImage", image=small, interpolation=mode).outputs[0]
         )
-        plane(surface, (-2.1 + 2.1 * i, 0, 1.05), 1.9, (1.35, 0, 0))
+
+    panels([surface(mode) for mode in ("Closest", "Linear", "Cubic")])
 
 
 @feature()
@@ -75,8 +78,7 @@ def texture_extension():
 
         return build
 
-    for i, mode in enumerate(("REPEAT", "EXTEND", "CLIP", "MIRROR")):
-        plane(_diffuse(mode, color(mode)), (-2.4 + 1.6 * i, 0, 1.0), 1.5, (1.35, 0, 0))
+    panels([_diffuse(mode, color(mode)) for mode in ("REPEAT", "EXTEND", "CLIP", "MIRROR")])
 
 
 @feature()
@@ -105,11 +107,11 @@ def texture_color_spaces():
         image("N", ramp, "Non-Color"),
         image("F", ramp, "Linear Rec.709", True),
     ]
-    for i, picture in enumerate(pictures):
-        surface = _diffuse(
-            picture.name, lambda t, p=picture: node(t, "ShaderNodeTexImage", image=p).outputs[0]
-        )
-        plane(surface, (-2.1 + 2.1 * i, 0, 1.05), 1.9, (1.35, 0, 0))
+
+    def surface(picture):
+        return _diffuse(picture.name, lambda t: node(t, "ShaderNodeTexImage", image=picture).outputs[0])
+
+    panels([surface(picture) for picture in pictures])
 
 
 @feature()
@@ -183,9 +185,6 @@ def texture_noise_dimensions():
             ).outputs[1],
         ),
         ("1D", "2D", "3D", "4D"),
-        1.75,
-        0.8,
-        0.8,
     )
 
 
@@ -203,9 +202,6 @@ def texture_voronoi():
     row(
         color,
         (("F1", "Distance"), ("F1", "Color"), ("SMOOTH_F1", "Distance"), ("DISTANCE_TO_EDGE", "Distance")),
-        1.75,
-        0.8,
-        0.8,
     )
 
 
@@ -268,9 +264,6 @@ def texture_gradient_ramp():
             ("QUADRATIC", "EASE", "RGB"),
             ("wave", "LINEAR", "HSV"),
         ),
-        1.75,
-        0.8,
-        0.8,
     )
 
 
@@ -285,7 +278,7 @@ def texture_coordinates():
             inputs = {0: at, 1: (0.4, 0.4, 0.4), 2: (0.5, 0.5, 0.5)}
             return node(tree, "ShaderNodeVectorMath", inputs, operation="MULTIPLY_ADD").outputs[0]
 
-        item = sphere(_diffuse(output, color), (-2.6 + 1.75 * i, 0, 0.85), 0.8)
+        item = sphere(_diffuse(output, color), (-1.95 + 1.3 * i, 0, 0.7), 0.62)
         item.rotation_euler, item.scale = (0.4, 0.3, 0.6), (1, 0.8, 1.1)
 
 
@@ -305,7 +298,7 @@ def texture_view_coordinates():
 
         return _diffuse(kind, build)
 
-    row(color, ("Window", "Reflection", "Position", "Incoming"), 1.75, 0.8, 0.8)
+    row(color, ("Window", "Reflection", "Position", "Incoming"))
 
 
 @feature()
@@ -335,8 +328,7 @@ def texture_color_nodes():
 
         return _diffuse(kind, build)
 
-    for i, kind in enumerate(("hue", "invert", "contrast", "curves")):
-        plane(color(kind), (-2.4 + 1.6 * i, 0, 1.0), 1.5, (1.35, 0, 0))
+    panels([color(kind) for kind in ("hue", "invert", "contrast", "curves")])
 
 
 @feature()
@@ -358,7 +350,7 @@ def texture_mix_modes():
             mix.inputs[7].default_value = (0.7, 0.45, 0.2, 1)
             return mix.outputs[2]
 
-        plane(_diffuse(mode, color), (-2.5 + (i % 6), 0, 0.4 + 0.85 * (i // 6)), 0.8, (1.35, 0, 0))
+        plane(_diffuse(mode, color), (-2.15 + 0.86 * (i % 6), 0, 0.4 + 0.83 * (i // 6)), 0.78, (1.35, 0, 0))
 
 
 @feature()
@@ -430,12 +422,12 @@ def texture_object_info():
         mix.inputs[7].default_value = (0.9, 0.9, 0.9, 1)
         return mix.outputs[2]
 
-    first = sphere(_diffuse("Info", color), (-2.6, 0, 0.8), 0.8)
+    first = sphere(_diffuse("Info", color), (-1.95, 0, 0.62), 0.62)
     for i in range(4):
         item = first if i == 0 else bpy.data.objects.new("Copy", first.data)
         if i:
             bpy.context.scene.collection.objects.link(item)
-            item.location = (-2.6 + 1.75 * i, 0, 0.8)
+            item.location = (-1.95 + 1.3 * i, 0, 0.62)
         item.pass_index = i
         item.color = (0.8, 0.15 + 0.2 * i, 0.1, 1)
 
@@ -462,7 +454,7 @@ def texture_node_group():
 
         return _diffuse("Group", build)
 
-    row(color, ((4.3, (0.8, 0.2, 0.1)), (9.7, (0.1, 0.4, 0.8))), 2.4, 1.0, 1.0)
+    row(color, ((4.3, (0.8, 0.2, 0.1)), (9.7, (0.1, 0.4, 0.8))))
 
 
 @feature()
@@ -471,10 +463,16 @@ def texture_displaced_bump():
     studio(fill=0.3)
     item = _diffuse("Rough", lambda t: node(t, "ShaderNodeRGB").outputs[0])
     tree = item.node_tree
-    tree.nodes["RGB"].outputs[0].default_value = (0.6, 0.5, 0.4, 1)
+    next(n for n in tree.nodes if n.bl_idname == "ShaderNodeRGB").outputs[0].default_value = (
+        0.6,
+        0.5,
+        0.4,
+        1,
+    )
     noise = node(tree, "ShaderNodeTexNoise", {"Scale": 3.0, "Detail": 1.0})
     height = node(tree, "ShaderNodeDisplacement", {"Height": noise.outputs[0], "Scale": 0.4})
-    tree.links.new(height.outputs[0], tree.nodes["Material Output"].inputs["Displacement"])
+    end = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeOutputMaterial")
+    tree.links.new(height.outputs[0], end.inputs["Displacement"])
     item.displacement_method = "BUMP"
     sphere(item, (-1.2, 0, 1.0), 1.0)
     cube(item, (1.2, 0, 0.8))
@@ -498,4 +496,4 @@ def texture_environment_mirror():
 
         return _diffuse(projection, build)
 
-    row(color, ("EQUIRECTANGULAR", "MIRROR_BALL"), 2.4, 1.0, 1.0)
+    row(color, ("EQUIRECTANGULAR", "MIRROR_BALL"))
