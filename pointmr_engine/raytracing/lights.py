@@ -1,79 +1,129 @@
 """All that lights a scene - lamps, emissive triangles, the world - chosen, sampled and weighed as one.
 
-A surface point asks `sample` for one light; a ray that went on by itself asks what it met (`seen_lamps`, `emitter_weight`,
-`world_weight`), each already weighed against `sample` by the power heuristic, so that the two together count every
-light once.
+A surface point asks `sample` for one light; a ray that went on by itself asks what it met (`seen_lamps`,
+`emitter_weight`, `world_weight`), each already weighed against `sample` by the power heuristic, so that the two
+together count every light once.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-NONE, LAMP, TRIANGLE, WORLD = 0, 1, 2, 3
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.placements import Placements
+from pointmr_engine.raytracing import light_sampling as kernels
+from pointmr_engine.raytracing.emitters import find_emitters, sampled_sides
+from pointmr_engine.raytracing.environment import OFF, Environment
+from pointmr_engine.raytracing.lamps import DISTANT, POINT, compile_lamps
+from pointmr_engine.raytracing.light_sampling import (
+    LAMP,
+    NONE,
+    TRIANGLE,
+    WORLD,
+    LightArrays,
+    LightSamples,
+    allocate_light_samples,
+    power_heuristic,
+)
+from pointmr_engine.raytracing.light_tree import build_light_tree
+from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.scene.scene import Scene
+from pointmr_engine.scene.settings import RenderSettings
 
-
-class LightSamples(NamedTuple):
-    """One chosen light for each of N points. All but `kind` is undefined where kind is NONE (nothing can light the point).
-
-    The light adds f(wi, direction) |cos| * radiance / pdf * (mis ? power_heuristic(pdf, bsdf_pdf) : 1), where
-    the lobes that `visibility` names are f. Shadow rays run from t_min to `distance` less a little.
-    """
-
-    kind: np.ndarray  # (N,) uint8: NONE, LAMP, TRIANGLE, WORLD
-    index: np.ndarray  # (N,) int32: lamp, emitter, or 0
-    direction: np.ndarray  # (N, 3) float64, unit, from the point to the light
-    distance: np.ndarray  # (N,) float64, inf for sun and world
-    radiance: np.ndarray  # (N, 3) float32; for delta lamps: radiance times solid angle
-    pdf: np.ndarray  # (N,) float64 per solid angle, selection included; for delta lamps: of the selection alone
-    pending: np.ndarray  # (N,) bool: `radiance` must still be filled in, by `Lights.emission_at`
-    mis: np.ndarray  # (N,) bool: a ray chosen by a BSDF can meet this light too
-    cast_shadow: np.ndarray  # (N,) bool
-    visibility: np.ndarray  # (N,) uint8, bits DIFFUSE, GLOSSY, TRANSMISSION of scene.group: what may see the light
-    triangle: np.ndarray  # (N,) int32, the emissive triangle that a shadow ray may touch, -1 if none
-    path: np.ndarray  # (N,) uint64, its instance path
-    u: np.ndarray  # (N,) float32, barycentric weight of vertex 1
-    v: np.ndarray  # (N,) float32, barycentric weight of vertex 2
-
-
-def allocate_light_samples(n: int) -> LightSamples:
-    """Room for n samples, none of them valid."""
-    return LightSamples(
-        np.zeros(n, np.uint8),
-        np.zeros(n, np.int32),
-        np.zeros((n, 3)),
-        np.zeros(n),
-        np.zeros((n, 3), np.float32),
-        np.zeros(n),
-        np.zeros(n, np.bool_),
-        np.zeros(n, np.bool_),
-        np.zeros(n, np.bool_),
-        np.zeros(n, np.uint8),
-        np.full(n, -1, np.int32),
-        np.zeros(n, np.uint64),
-        np.zeros(n, np.float32),
-        np.zeros(n, np.float32),
-    )
+__all__ = [
+    "LAMP",
+    "NONE",
+    "TRIANGLE",
+    "WORLD",
+    "LightArrays",
+    "LightSamples",
+    "Lights",
+    "allocate_light_samples",
+    "build_lights",
+    "power_heuristic",
+]
 
 
 class Lights:
     """The compiled lights of a scene: `arrays` for kernels, programs for what varies. Threads may share it.
 
-    Wherever a ray's origin is asked for: position (N, 3) float64; normal (N, 3) float32, the shading normal on the side of
-    the viewer; transmissive (N,) bool, whether light from behind counts; bsdf_pdf (N,) float64, with which the BSDF
+    Wherever a ray's origin is asked for: position (N, 3) float64; normal (N, 3) float32, the shading normal on the side
+    of the viewer; transmissive (N,) bool, whether light from behind counts; bsdf_pdf (N,) float64, with which the BSDF
     chose the ray, inf where lights were not sampled at all (camera rays, mirrors): then the weight is 1.
+
+    warnings: what was left out, by name. empty: nothing is ever sampled. only_met: something shines that is not sampled
+    (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it.
     """
 
+    def __init__(
+        self,
+        arrays: LightArrays,
+        environment: Environment,
+        geometry: Geometry | None,
+        placements: Placements | None,
+        programs: list,
+        materials: np.ndarray,
+        only_met: bool,
+        warnings: list[str],
+    ):
+        self.arrays = arrays
+        self.environment = environment
+        self.warnings = warnings
+        self.only_met = only_met
+        self.empty = len(arrays.tree.tops) == 0
+        self._geometry = geometry
+        self._placements = placements
+        self._programs = programs
+        self._materials = materials  # (E,) int32: material of each emitter
+
     def sample(
-        self, position: np.ndarray, normal: np.ndarray, transmissive: np.ndarray, u: np.ndarray, out: LightSamples
+        self,
+        position: np.ndarray,
+        normal: np.ndarray,
+        transmissive: np.ndarray,
+        u: np.ndarray,
+        out: LightSamples,
     ) -> None:
-        """Choose a light and a direction to it for each point; u (N, 3) float64 in [0, 1): selection, then 2D."""
-        raise NotImplementedError
+        """Choose a light and a direction to it for each point; u (N, 3) float64 in [0, 1): selection, then 2D.
+
+        `out` may be longer than N. Rows flagged `pending` have no radiance yet: see `emission_at`.
+        """
+        kernels.sample_lights(self.arrays, position, normal, transmissive, u, out)
 
     def emission_at(self, samples: LightSamples, index: np.ndarray | None = None) -> None:
         """Fill in `radiance` of the samples (of the rows `index`, or all) whose emission varies; clears `pending`."""
-        raise NotImplementedError
+        rows = np.flatnonzero(samples.pending) if index is None else index[samples.pending[index]]
+        if not len(rows):
+            return
+        worlds = rows[samples.kind[rows] == WORLD]
+        if len(worlds):
+            samples.radiance[worlds] = self.environment.radiance(samples.direction[worlds])
+        rows = rows[samples.kind[rows] == TRIANGLE]
+        material = self._materials[samples.index[rows]]
+        for m in np.unique(material):
+            chosen = rows[material == m]
+            place = self.arrays.emitters.placement[samples.index[chosen]]
+            points = points_at(
+                self._geometry,
+                self._placements.part[place],
+                samples.triangle[chosen],
+                samples.u[chosen],
+                samples.v[chosen],
+                self._placements.world_from_part[place],
+                self._programs[m].emission_needs,
+                self._vantage(samples, chosen),
+            )
+            emission = self._programs[m].emission(points)
+            samples.radiance[chosen] = np.nan_to_num(emission, posinf=0.0, neginf=0.0)
+        samples.pending[rows] = False
+        samples.pending[worlds] = False
+
+    def _vantage(self, samples: LightSamples, rows: np.ndarray) -> np.ndarray:
+        """(n, 3) the lit points, from which the emissive triangles are seen."""
+        corners = self.arrays.emitters.vertices[samples.index[rows]]
+        u, v = samples.u[rows, None].astype(np.float64), samples.v[rows, None].astype(np.float64)
+        on_light = corners[:, 0] * (1.0 - u - v) + corners[:, 1] * u + corners[:, 2] * v
+        return on_light - samples.direction[rows] * samples.distance[rows, None]
 
     def seen_lamps(
         self,
@@ -90,34 +140,76 @@ class Lights:
 
         Lamps do not stop rays. visibility (N,) uint8: the ray's own bit (CAMERA, DIFFUSE, ...).
         """
-        raise NotImplementedError
+        if len(self.arrays.met_lamps):
+            kernels.add_seen_lamps(
+                self.arrays, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out
+            )
 
     def emitter_pdf(self, path, triangle, position, normal, transmissive, direction, distance) -> np.ndarray:
-        """(N,) float64: density per solid angle with which `sample` chooses the point met on a triangle; 0 if never."""
-        raise NotImplementedError
+        """(N,) float64: density per solid angle with which `sample` chooses the point met on a triangle; 0 if never.
+
+        path (N,) uint64, triangle (N,) int32 of the hit; distance (N,) float64 from position to the hit.
+        """
+        out = np.zeros(len(path))
+        if len(self.arrays.emitters.path):
+            kernels.emitter_pdf(self.arrays, path, triangle, position, normal, transmissive, distance, out)
+        return out
 
     def emitter_weight(
         self, path, triangle, position, normal, transmissive, direction, distance, bsdf_pdf
     ) -> np.ndarray:
-        """(N,) float32: weight of the emission met on triangles: path (N,) uint64, triangle (N,) int32, distance (N,)."""
-        raise NotImplementedError
+        """(N,) float32: weight of the emission met on triangles, as for `emitter_pdf`."""
+        pdf = self.emitter_pdf(path, triangle, position, normal, transmissive, direction, distance)
+        return power_heuristic(bsdf_pdf, pdf)
 
     def world_radiance(self, direction: np.ndarray, visibility: int) -> np.ndarray:
-        """(N, 3) float32 radiance of the world in directions (N, 3) for rays of one visibility bit; 0 if hidden from it."""
-        raise NotImplementedError
+        """(N, 3) float32 radiance of the world in directions (N, 3) for rays of one visibility bit; 0 if hidden."""
+        return self.environment.radiance(direction, visibility)
 
     def world_pdf(self, position, normal, transmissive, direction) -> np.ndarray:
         """(N,) float64: density per solid angle with which `sample` chooses the world in that direction."""
-        raise NotImplementedError
+        out = np.zeros(len(direction))
+        if self.arrays.tree.leaf_of_world >= 0:
+            kernels.world_pdf(self.arrays, position, normal, transmissive, direction, out)
+        return out
 
     def world_weight(self, position, normal, transmissive, direction, bsdf_pdf) -> np.ndarray:
         """(N,) float32: weight of the world's radiance that the rays met."""
-        raise NotImplementedError
+        return power_heuristic(bsdf_pdf, self.world_pdf(position, normal, transmissive, direction))
 
 
-def build_lights(scene, geometry, programs: list, settings=None) -> Lights:
+def build_lights(
+    scene: Scene,
+    geometry: Geometry,
+    programs: list,
+    settings: RenderSettings | None = None,
+    sample_uniform_world: bool = True,
+) -> Lights:
     """Compile the lights of `scene`.
 
     geometry: hierarchy.geometry.Geometry; programs: the materials' Programs in the order of geometry.materials.
+    sample_uniform_world: False leaves a world of one radiance to rays that a BSDF chose, which find it as well.
     """
-    raise NotImplementedError
+    lamps, warnings = compile_lamps(scene.lights)
+    emitters, material, places, more = find_emitters(geometry, programs)
+    environment = Environment(scene.world, sample_uniform_world)
+    warnings = warnings + more + environment.warnings
+    extended = (lamps.shape != POINT) & (lamps.shape != DISTANT)
+    suns = np.flatnonzero(extended & (lamps.shape > DISTANT))
+    local = np.flatnonzero(extended & (lamps.shape < DISTANT))
+    tree = build_light_tree(lamps, emitters, environment.map)
+    arrays = LightArrays(
+        lamps,
+        emitters,
+        environment.map,
+        tree,
+        int(scene.world.visibility),
+        len(suns),
+        np.concatenate([suns, local]).astype(np.int32),
+    )
+    dark = [
+        m is not None and p.emissive and not sampled_sides(m, p)
+        for m, p in zip(geometry.materials, programs, strict=True)
+    ]
+    only_met = any(dark) or bool(more) or (environment.map.mode == OFF and not environment.black)
+    return Lights(arrays, environment, geometry, places, programs, material, only_met, warnings)

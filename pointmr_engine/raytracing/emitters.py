@@ -1,0 +1,393 @@
+"""Emissive triangles: found through nested instances, sampled by the solid angle that they fill, looked up when met."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.placements import Placements, placements
+from pointmr_engine.numerics.warps import spherical_triangle, triangle_barycentrics, triangle_solid_angle
+from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.scene.graph import Graph, Link
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.scene.material import Material
+
+FRONT, BACK = 1, 2
+MOST_EMITTERS = 1 << 20
+_WEAK = 0.5  # emission below this is left to chance, as in Cycles: not worth a light sample
+_MOST_PROBED = 1 << 16  # triangles whose varying emission is estimated by evaluating it
+_SIDES = {"FRONT": FRONT, "BACK": BACK, "FRONT_BACK": FRONT | BACK, "NONE": 0}
+
+# points of a triangle where varying emission is probed: centroids of its four quarters and the corners' neighbourhoods
+_PROBES = np.array(
+    [[1 / 3, 1 / 3], [1 / 6, 1 / 6], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [0.45, 0.1], [0.1, 0.45], [0.45, 0.45]],
+    np.float32,
+)
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+class Emitters(NamedTuple):
+    """E emissive triangles in the world that are sampled as lights."""
+
+    vertices: np.ndarray  # (E, 3, 3) float64 world
+    sides: np.ndarray  # (E,) uint8: FRONT and BACK of the winding in the world, sampled sides only
+    radiance: np.ndarray  # (E, 3) float64; where it varies: an estimate of the mean
+    varying: np.ndarray  # (E,) bool
+    visibility: np.ndarray  # (E,) uint8, bits of scene.group
+    triangle: np.ndarray  # (E,) int32, scene-wide index
+    path: np.ndarray  # (E,) uint64, hash of the instance path
+    placement: np.ndarray  # (E,) int32, row of the Placements that it came from
+    outside: (
+        np.ndarray
+    )  # (E,) float64: 1 or -1, the side of the winding that looks out of a closed mesh; 0: open
+    table: np.ndarray  # (S,) int32 hash table of emitters by path and triangle, -1: free; S is a power of two
+
+
+def estimate_emission(graph: Graph) -> float:
+    """The largest channel of what a surface emits, as its graph's constants tell; what is linked counts as 1."""
+
+    def constant(node, name: str, default):
+        value = node.inputs.get(name, default)
+        return (
+            np.ones(3) if isinstance(value, Link) else np.asarray(value, np.float64).ravel()[:3] * np.ones(3)
+        )
+
+    def below(link, depth: int) -> np.ndarray:
+        node = graph.nodes.get(link.node) if isinstance(link, Link) else None
+        if node is None or depth > 64:
+            return np.zeros(3)
+        if node.kind == "principled":
+            return constant(node, "emission_color", 1.0) * constant(node, "emission_strength", 0.0)
+        if node.kind == "emission":
+            return constant(node, "color", 1.0) * constant(node, "strength", 1.0)
+        if node.kind in ("mix_shader", "add_shader"):
+            first, second = (below(node.inputs.get(name), depth + 1) for name in ("shader", "shader_b"))
+            if node.kind == "add_shader":
+                return first + second
+            share = node.inputs.get("fac", 0.5)
+            share = 0.5 if isinstance(share, Link) else min(max(float(np.mean(share)), 0.0), 1.0)
+            return first * (1.0 - share) + second * share
+        return np.zeros(3)
+
+    return float(np.abs(below(graph.surface, 0)).max())
+
+
+def sampled_sides(material: Material | None, program) -> int:
+    """Which sides of a material's surfaces are sampled as lights: FRONT and BACK bits."""
+    if material is None or not program.emissive:
+        return 0
+    constant = program.constant_emission
+    if constant is not None and not np.any(constant):
+        return 0
+    if material.emission_sampling == "AUTO":
+        strength = estimate_emission(material.graph) if constant is None else float(np.abs(constant).max())
+        return FRONT | BACK if strength > _WEAK else 0
+    return _SIDES.get(material.emission_sampling, FRONT | BACK)
+
+
+def find_emitters(
+    geometry: Geometry, programs: list
+) -> tuple[Emitters, np.ndarray, Placements | None, list[str]]:
+    """All emissive triangles worth sampling, through every instance, at most MOST_EMITTERS.
+
+    Returns them, the material of each (E,) int32, where they were found, and warnings.
+    programs: one Program per geometry.materials. Beyond the limit emission is still seen by rays that meet it.
+    """
+    sides = [sampled_sides(m, p) for m, p in zip(geometry.materials, programs, strict=True)]
+    local = {}
+    if any(sides):
+        for part in range(len(geometry.parts)):
+            found = _part_emitters(geometry, part, np.asarray(sides, np.uint8))
+            if found is not None:
+                local[part] = found
+    if not local:
+        return *_pack([], np.zeros(0, np.bool_)), None, []
+    wanted = np.zeros(len(geometry.parts), np.bool_)
+    wanted[list(local)] = True
+    places = placements(geometry, wanted, MOST_EMITTERS)
+    counts = np.zeros(len(geometry.parts), np.int64)
+    for part, found in local.items():
+        counts[part] = len(found.triangle)
+    lit = (places.visibility & (DIFFUSE | GLOSSY | TRANSMISSION)) != 0
+    within = np.cumsum(np.where(lit, counts[places.part], 0)) <= MOST_EMITTERS
+    warnings = []
+    if len(places.part) >= MOST_EMITTERS or not within[lit].all():
+        warnings.append(
+            f"more than {MOST_EMITTERS} emissive triangles: the rest light only what rays happen to meet"
+        )
+    blocks = []
+    for part, found in local.items():
+        chosen = np.flatnonzero(lit & within & (places.part == part))
+        if len(chosen):
+            radiance = _mean_radiance(geometry, programs, part, found, places.world_from_part[chosen[0]])
+            blocks.append(_placed(found, radiance, places, chosen))
+    varying = np.array([p.constant_emission is None for p in programs], np.bool_)
+    return *_pack(blocks, varying), places, warnings
+
+
+class _PartEmitters(NamedTuple):
+    """Emissive triangles of one part, in its own space."""
+
+    triangle: np.ndarray  # (n,) int32 scene-wide
+    vertices: np.ndarray  # (n, 3, 3) float64
+    sides: np.ndarray  # (n,) uint8
+    material: np.ndarray  # (n,) int32
+    outside: float
+
+
+def _part_emitters(geometry: Geometry, part: int, sides: np.ndarray) -> _PartEmitters | None:
+    tables = geometry.tables
+    first, count = int(tables.first_slot[part]), int(tables.slots[part])
+    slots = np.asarray(tables.slot_material[first : first + count])
+    if not sides[slots].any():
+        return None
+    mesh, shape = geometry.parts[part], geometry.shapes[int(tables.shape[part])]
+    n = len(shape.triangles)
+    if mesh.material_index is None:
+        material = np.full(n, slots[0], np.int32)
+    else:
+        material = slots[np.clip(mesh.material_index, 0, count - 1)].astype(np.int32)
+    chosen = np.flatnonzero(sides[material] > 0)
+    vertices = shape.positions[shape.triangles[chosen]].astype(np.float64) + shape.center
+    cross = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
+    with np.errstate(invalid="ignore", over="ignore"):
+        size = np.linalg.norm(cross, axis=1)
+    good = np.isfinite(size) & (size > 0.0)
+    chosen, vertices = chosen[good], vertices[good]
+    if not len(chosen):
+        return None
+    outside = _outside(shape.positions, shape.triangles)
+    triangles = (chosen + shape.first_triangle).astype(np.int32)
+    return _PartEmitters(triangles, vertices, sides[material[chosen]], material[chosen], outside)
+
+
+def _outside(positions: np.ndarray, triangles: np.ndarray) -> float:
+    """1 or -1 for a closed mesh (the sign of its volume), 0 for an open one. Corners at one place are one vertex."""
+    if len(triangles) < 4 or not np.isfinite(positions).all():
+        return 0.0
+    _, vertex = np.unique(positions, axis=0, return_inverse=True)
+    t = vertex.reshape(-1)[triangles].astype(np.int64)
+    t = t[(t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])]
+    a, b = t.ravel(), t[:, [1, 2, 0]].ravel()
+    n = np.int64(len(positions))
+    if not np.array_equal(np.sort(a * n + b), np.sort(b * n + a)):
+        return 0.0
+    p = positions[triangles].astype(np.float64)
+    return float(np.sign(np.einsum("ij,ij->i", p[:, 0], np.cross(p[:, 1], p[:, 2])).sum()))
+
+
+def _mean_radiance(
+    geometry: Geometry, programs: list, part: int, found: _PartEmitters, world_from_part: np.ndarray
+) -> np.ndarray:
+    """(n, 3) radiance of a part's emissive triangles: constant, or probed at one placement."""
+    radiance = np.ones((len(found.triangle), 3))
+    for m in np.unique(found.material):
+        rows = np.flatnonzero(found.material == m)
+        constant = programs[m].constant_emission
+        if constant is not None:
+            radiance[rows] = constant
+        elif len(rows) <= _MOST_PROBED:
+            radiance[rows] = _probed(geometry, programs[m], part, found.triangle[rows], world_from_part)
+        else:
+            radiance[rows] = estimate_emission(geometry.materials[m].graph)
+    return radiance
+
+
+def _probed(
+    geometry: Geometry, program, part: int, triangle: np.ndarray, world_from_part: np.ndarray
+) -> np.ndarray:
+    """(n, 3) mean emission of triangles over a few points; none so dark that it could never be chosen."""
+    n, k = len(triangle), len(_PROBES)
+    points = points_at(
+        geometry,
+        np.full(n * k, part, np.int32),
+        np.repeat(triangle, k),
+        np.tile(_PROBES[:, 0], n),
+        np.tile(_PROBES[:, 1], n),
+        np.broadcast_to(world_from_part, (n * k, 3, 4)),
+        program.emission_needs,
+    )
+    emission = np.nan_to_num(np.asarray(program.emission(points), np.float64), posinf=0.0)
+    mean = np.broadcast_to(emission, (n * k, 3)).reshape(n, k, 3).mean(1)
+    return np.maximum(mean, max(0.01 * float(np.abs(mean).mean()), 1e-6))
+
+
+def _placed(found: _PartEmitters, radiance: np.ndarray, places: Placements, chosen: np.ndarray) -> tuple:
+    """One part's emitters at the placements `chosen`: the columns of `_pack`, placement by placement."""
+    m = places.world_from_part[chosen]
+    vertices = np.einsum("kij,nvj->knvi", m[:, :, :3], found.vertices) + m[:, None, None, :, 3]
+    mirrored = np.linalg.det(m[:, :, :3]) < 0.0
+    # mirroring turns the winding round, but not the modelled front
+    turned = ((found.sides & FRONT) << 1) | ((found.sides & BACK) >> 1)
+    sides = np.where(mirrored[:, None], turned, found.sides)
+    k, n = sides.shape
+    return (
+        vertices.reshape(-1, 3, 3),
+        sides.astype(np.uint8).ravel(),
+        np.tile(radiance, (k, 1)),
+        np.tile(found.material, k),
+        np.repeat(places.visibility[chosen], n),
+        np.tile(found.triangle, k),
+        np.repeat(places.path[chosen], n),
+        np.repeat(chosen.astype(np.int32), n),
+        np.repeat(np.where(mirrored, -found.outside, found.outside), n),
+    )
+
+
+def _pack(blocks: list[tuple], varying: np.ndarray) -> tuple[Emitters, np.ndarray]:
+    """One table of all blocks, without triangles that vanish in the world, and materials. varying: by material."""
+    nothing = (
+        np.zeros((0, 3, 3)),
+        np.zeros(0, np.uint8),
+        np.zeros((0, 3)),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.uint8),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.uint64),
+        np.zeros(0, np.int32),
+        np.zeros(0),
+    )
+    columns = [np.concatenate(c) for c in zip(nothing, *blocks, strict=True)]
+    vertices = columns[0]
+    cross = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
+    with np.errstate(invalid="ignore", over="ignore"):
+        size = np.linalg.norm(cross, axis=1)
+    good = np.isfinite(size) & (size > 0.0)
+    if not good.all():
+        columns = [c[good] for c in columns]
+    vertices, sides, radiance, material, visibility, triangle, path, placement, outside = columns
+    table = np.full(1 << max(1, int(2 * len(path)).bit_length()), -1, np.int32)
+    if len(path):
+        _fill_table(table, path, triangle)
+    flags = varying[material] if len(path) else np.zeros(0, np.bool_)
+    emitters = Emitters(
+        vertices, sides, radiance, flags, visibility, triangle, path, placement, outside, table
+    )
+    return emitters, material
+
+
+@_jit
+def _slot(path, triangle, mask):
+    """Home of a key in the hash table."""
+    z = np.uint64(path) ^ (np.uint64(np.uint32(triangle)) * np.uint64(0x9E3779B97F4A7C15))
+    z = (z ^ (z >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    return np.int64((z >> np.uint64(32)) & np.uint64(mask))
+
+
+@_jit
+def _fill_table(table, path, triangle):
+    mask = len(table) - 1
+    for e in range(len(path)):
+        slot = _slot(path[e], triangle[e], mask)
+        while table[slot] >= 0:
+            slot = (slot + 1) & mask
+        table[slot] = e
+
+
+@_jit
+def find_emitter(emitters, path, triangle):
+    """Index of the emitter that is `triangle` of the placement `path`, or -1."""
+    mask = len(emitters.table) - 1
+    slot = _slot(path, triangle, mask)
+    while True:
+        e = emitters.table[slot]
+        if e < 0:
+            return -1
+        if emitters.triangle[e] == triangle and emitters.path[e] == path:
+            return e
+        slot = (slot + 1) & mask
+
+
+@_jit
+def _shape_from(v, px, py, pz):
+    """What p sees of a triangle: (solid angle, 0 to sample by area; 2 * area; height of p over the winding's front)."""
+    ex, ey, ez = v[1, 0] - v[0, 0], v[1, 1] - v[0, 1], v[1, 2] - v[0, 2]
+    fx, fy, fz = v[2, 0] - v[0, 0], v[2, 1] - v[0, 1], v[2, 2] - v[0, 2]
+    nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+    double_area = math.sqrt(nx * nx + ny * ny + nz * nz)
+    ax, ay, az = v[0, 0] - px, v[0, 1] - py, v[0, 2] - pz
+    height = -(ax * nx + ay * ny + az * nz) / double_area
+    bx, by, bz = v[1, 0] - px, v[1, 1] - py, v[1, 2] - pz
+    cx, cy, cz = v[2, 0] - px, v[2, 1] - py, v[2, 2] - pz
+    la = math.sqrt(ax * ax + ay * ay + az * az)
+    lb = math.sqrt(bx * bx + by * by + bz * bz)
+    lc = math.sqrt(cx * cx + cy * cy + cz * cz)
+    edge = max(ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz)
+    nearest = min(la, lb, lc)
+    if nearest <= 0.0 or edge < 0.01 * nearest * nearest:
+        return 0.0, double_area, height
+    solid_angle = triangle_solid_angle(
+        ax / la, ay / la, az / la, bx / lb, by / lb, bz / lb, cx / lc, cy / lc, cz / lc
+    )
+    if solid_angle < 1e-7:
+        return 0.0, double_area, height
+    return solid_angle, double_area, height
+
+
+@_jit
+def sample_emitter(emitters, e, px, py, pz, u1, u2):
+    """Choose a point of emitter e seen from p: (dx, dy, dz, distance, pdf, u, v). pdf 0: nothing can be sampled."""
+    v = emitters.vertices[e]
+    solid_angle, double_area, height = _shape_from(v, px, py, pz)
+    side = FRONT if height > 0.0 else BACK
+    if height == 0.0 or not emitters.sides[e] & side:
+        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
+    ax, ay, az = v[0, 0] - px, v[0, 1] - py, v[0, 2] - pz
+    ex, ey, ez = v[1, 0] - v[0, 0], v[1, 1] - v[0, 1], v[1, 2] - v[0, 2]
+    fx, fy, fz = v[2, 0] - v[0, 0], v[2, 1] - v[0, 1], v[2, 2] - v[0, 2]
+    if solid_angle == 0.0:
+        s, t = triangle_barycentrics(u1, u2)
+    else:
+        bx, by, bz = ax + ex, ay + ey, az + ez
+        cx, cy, cz = ax + fx, ay + fy, az + fz
+        la = math.sqrt(ax * ax + ay * ay + az * az)
+        lb = math.sqrt(bx * bx + by * by + bz * bz)
+        lc = math.sqrt(cx * cx + cy * cy + cz * cz)
+        dx, dy, dz = spherical_triangle(
+            ax / la,
+            ay / la,
+            az / la,
+            bx / lb,
+            by / lb,
+            bz / lb,
+            cx / lc,
+            cy / lc,
+            cz / lc,
+            solid_angle,
+            u1,
+            u2,
+        )
+        # where the direction meets the triangle's plane
+        hx, hy, hz = dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx
+        det = ex * hx + ey * hy + ez * hz
+        if det == 0.0:
+            return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
+        s = -(ax * hx + ay * hy + az * hz) / det
+        qx, qy, qz = ay * ez - az * ey, az * ex - ax * ez, ax * ey - ay * ex
+        t = -(dx * qx + dy * qy + dz * qz) / det
+        s = min(1.0, max(0.0, s))
+        t = min(1.0 - s, max(0.0, t))
+    dx, dy, dz = ax + s * ex + t * fx, ay + s * ey + t * fy, az + s * ez + t * fz
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if solid_angle == 0.0:
+        pdf = 2.0 * distance * distance * distance / (abs(height) * double_area)
+    else:
+        pdf = 1.0 / solid_angle
+    return dx / distance, dy / distance, dz / distance, distance, pdf, s, t
+
+
+@_jit
+def emitter_density(emitters, e, px, py, pz, distance):
+    """Density per solid angle with which `sample_emitter` chooses a point of emitter e at that distance from p."""
+    solid_angle, double_area, height = _shape_from(emitters.vertices[e], px, py, pz)
+    side = FRONT if height > 0.0 else BACK
+    if height == 0.0 or not emitters.sides[e] & side:
+        return 0.0
+    if solid_angle == 0.0:
+        return 2.0 * distance * distance * distance / (abs(height) * double_area)
+    return 1.0 / solid_angle

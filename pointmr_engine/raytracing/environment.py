@@ -1,0 +1,237 @@
+"""The world as a light: its radiance by direction, and an importance map to sample it by."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.numerics.warps import cosine_hemisphere, uniform_cone
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.scene.world import World
+from pointmr_engine.shading import points as surface_points
+from pointmr_engine.shading.program import Program, compile_graph, evaluate_background
+
+OFF, UNIFORM, MAP = 0, 1, 2  # how the world is sampled as a light
+_LARGEST_MAP = 4096
+_SUN_SHARE = 0.8  # of the samples that go to the world, when its sky has a sun disc
+
+# what the Light Path node sees, by the visibility bit of the ray; 0: a light sample
+_RAY_KINDS = {
+    0: 0,
+    CAMERA: surface_points.RAY_CAMERA,
+    DIFFUSE: surface_points.RAY_DIFFUSE | surface_points.RAY_REFLECTION,
+    GLOSSY: surface_points.RAY_GLOSSY | surface_points.RAY_REFLECTION,
+    TRANSMISSION: surface_points.RAY_TRANSMISSION,
+}
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+class WorldMap(NamedTuple):
+    """How to sample the world. Texels: rows of equal angle from straight down, columns of equal azimuth from -pi."""
+
+    mode: int  # OFF, UNIFORM or MAP
+    rows: np.ndarray  # (H + 1,) float64 distribution over rows, 0 to 1
+    columns: np.ndarray  # (H, W + 1) float32 distribution over the columns of each row, 0 to 1
+    edges: np.ndarray  # (H + 1,) float64 height z of the rows' borders
+    sun: np.ndarray  # (5,) float64: unit direction, 1 - cos of the half angle, share of samples (0: no sun)
+    irradiance: float  # what the world gives to a surface that sees all of it, roughly
+
+
+class Environment:
+    """The world's program, its importance map and who may see it."""
+
+    def __init__(self, world: World, sample_uniform: bool = True):
+        """sample_uniform: whether a world of a single radiance is sampled as a light, or met by chance only."""
+        self.program: Program = compile_graph(world.graph, "background")
+        self.visibility = world.visibility
+        self.warnings = list(self.program.warnings)
+        self.constant = self.program.constant_emission
+        self.black = not self.program.emissive or self.constant == (0.0, 0.0, 0.0)
+        self.map = _no_map()
+        if self.black or world.sampling == "NONE":
+            return
+        if self.constant is not None:
+            if sample_uniform:
+                self.map = _no_map(UNIFORM, math.pi * abs(float(np.mean(self.constant))))
+            return
+        width = world.map_resolution if world.sampling == "MANUAL" else _image_width(world)
+        self.map = _build_map(self.program, min(max(int(width), 4), _LARGEST_MAP), _find_sun(world))
+
+    def radiance(self, direction: np.ndarray, visibility: int = 0) -> np.ndarray:
+        """(N, 3) float32 radiance in unit directions (N, 3), for rays of one visibility bit, or 0 for light samples."""
+        if self.black or (visibility and not visibility & self.visibility):
+            return np.zeros((len(direction), 3), np.float32)
+        if self.constant is not None:
+            return np.broadcast_to(np.asarray(self.constant, np.float32), (len(direction), 3)).copy()
+        out = evaluate_background(self.program, direction, _RAY_KINDS.get(visibility, 0))
+        return np.nan_to_num(out, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _no_map(mode: int = OFF, irradiance: float = 0.0) -> WorldMap:
+    """A world that needs no map."""
+    empty = np.zeros((1, 2), np.float32)
+    return WorldMap(mode, np.array([0.0, 1.0]), empty, np.array([-1.0, 1.0]), np.zeros(5), irradiance)
+
+
+def _image_width(world: World) -> int:
+    """Width of the largest image that the world's graph reads; 1024 if there is none."""
+    widths = [
+        p.pixels.shape[1]
+        for n in world.graph.nodes.values()
+        for p in n.params.values()
+        if hasattr(p, "pixels")
+    ]
+    return max(widths, default=1024)
+
+
+def _find_sun(world: World) -> tuple[np.ndarray, float] | None:
+    """Direction and half angle of the sun disc of the world's only sky, where nothing turns the sky."""
+    skies = [n for n in world.graph.nodes.values() if n.kind == "sky_texture" and n.params.get("sun_disc")]
+    if len(skies) != 1 or skies[0].inputs.get("vector") is not None:
+        return None
+    p = skies[0].params
+    elevation, rotation = float(p.get("sun_elevation", 0.0)), float(p.get("sun_rotation", 0.0))
+    flat = math.cos(elevation)
+    # Blender's azimuth: 0 along +y, turning towards +x
+    direction = np.array([math.sin(rotation) * flat, math.cos(rotation) * flat, math.sin(elevation)])
+    return direction, 0.5 * float(p.get("sun_size", 0.0))
+
+
+def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | None) -> WorldMap:
+    """Importance map of width x width / 2 texels."""
+    height = max(width // 2, 2)
+    # rows of equal angle, as images have them; a texel's density is uniform in solid angle
+    edges = -np.cos(np.linspace(0.0, math.pi, height + 1))
+    solid_angle = np.diff(edges) * (2.0 * math.pi / width)
+    weight = np.empty((height, width), np.float32)
+    azimuth = (np.arange(width) + 0.5) * (2.0 * math.pi / width) - math.pi
+    angle = (np.arange(height) + 0.5) * (math.pi / height)
+    chunk = max(1, 65536 // width)
+    for first in range(0, height, chunk):
+        rows = angle[first : first + chunk]
+        d = np.empty((len(rows), width, 3))
+        d[..., 0] = np.sin(rows)[:, None] * np.cos(azimuth)
+        d[..., 1] = np.sin(rows)[:, None] * np.sin(azimuth)
+        d[..., 2] = -np.cos(rows)[:, None]
+        radiance = np.abs(evaluate_background(program, d.reshape(-1, 3), 0)).mean(1)
+        weight[first : first + chunk] = np.nan_to_num(radiance, posinf=0.0).reshape(len(rows), width)
+    mean = float((weight.mean(1, dtype=np.float64) * np.diff(edges)).sum() / 2.0)
+    if not mean > 0.0:
+        return _no_map()
+    sun_row = np.zeros(5)
+    if sun is not None and sun[1] > 0.0:
+        sun_row[:3], sun_row[3], sun_row[4] = sun[0], 2.0 * math.sin(0.5 * sun[1]) ** 2, _SUN_SHARE
+        disc = evaluate_background(program, sun[0][None, :], 0)
+        mean += float(np.abs(disc).mean()) * sun_row[3] / 2.0
+    weight = _widened(weight)
+    columns = np.zeros((height, width + 1), np.float32)
+    total = np.cumsum(weight, axis=1, dtype=np.float64)
+    row_weight = total[:, -1] * solid_angle
+    total /= np.where(total[:, -1:] > 0.0, total[:, -1:], 1.0)
+    columns[:, 1:] = total
+    rows = np.concatenate([[0.0], np.cumsum(row_weight)])
+    return WorldMap(MAP, rows / rows[-1], columns, edges, sun_row, math.pi * mean)
+
+
+def _widened(weight: np.ndarray) -> np.ndarray:
+    """No texel less than a quarter of its neighbours' mean: what is interpolated between texels can be sampled."""
+    up = np.concatenate([weight[1:], weight[-1:]])
+    down = np.concatenate([weight[:1], weight[:-1]])
+    column = up + down + weight
+    around = column + np.roll(column, 1, 1) + np.roll(column, -1, 1)
+    return np.maximum(weight, around * np.float32(0.25 / 9.0))
+
+
+@_jit
+def _row_of(borders, x):
+    """Last i with borders[i] <= x, within the rows."""
+    low, high = 0, len(borders) - 1
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if borders[middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@_jit
+def _column_of(columns, row, x):
+    """Last i with columns[row, i] <= x, within the columns."""
+    low, high = 0, columns.shape[1] - 1
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if columns[row, middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@_jit
+def _map_density(world, row, column):
+    solid_angle = (world.edges[row + 1] - world.edges[row]) * (2.0 * math.pi / (world.columns.shape[1] - 1))
+    share = world.rows[row + 1] - world.rows[row]
+    return share * float(world.columns[row, column + 1] - world.columns[row, column]) / solid_angle
+
+
+@_jit
+def _sun_offset(world, dx, dy, dz):
+    """1 - cos of the angle to the sky's sun."""
+    ex, ey, ez = dx - world.sun[0], dy - world.sun[1], dz - world.sun[2]
+    return 0.5 * (ex * ex + ey * ey + ez * ez)
+
+
+@_jit
+def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
+    """Density per solid angle with which `sample_world` chooses the direction d."""
+    if world.mode == UNIFORM:
+        if transmissive:
+            return 1.0 / (4.0 * math.pi)
+        return max(0.0, nx * dx + ny * dy + nz * dz) / math.pi
+    if world.mode == OFF:
+        return 0.0
+    width = world.columns.shape[1] - 1
+    row = _row_of(world.edges, dz)
+    column = min(width - 1, max(0, int((math.atan2(dy, dx) + math.pi) * (width / (2.0 * math.pi)))))
+    density = _map_density(world, row, column) * (1.0 - world.sun[4])
+    if world.sun[4] > 0.0 and _sun_offset(world, dx, dy, dz) <= world.sun[3]:
+        density += world.sun[4] / (2.0 * math.pi * world.sun[3])
+    return density
+
+
+@_jit
+def sample_world(world, nx, ny, nz, transmissive, u1, u2):
+    """Choose a direction to the world: (dx, dy, dz, density). n: the unit normal of the surface that is lit."""
+    if world.mode == UNIFORM:
+        if transmissive:
+            dx, dy, dz, _ = uniform_cone(0.0, 0.0, 1.0, 2.0, u1, u2)
+            return dx, dy, dz, 1.0 / (4.0 * math.pi)
+        dx, dy, dz, c = cosine_hemisphere(nx, ny, nz, u1, u2)
+        return dx, dy, dz, c / math.pi
+    share = world.sun[4]
+    if u1 < share:
+        dx, dy, dz, _ = uniform_cone(world.sun[0], world.sun[1], world.sun[2], world.sun[3], u1 / share, u2)
+        return dx, dy, dz, world_density(world, nx, ny, nz, transmissive, dx, dy, dz)
+    u1 = (u1 - share) / (1.0 - share)
+    width = world.columns.shape[1] - 1
+    row = _row_of(world.rows, u2)
+    start = world.rows[row]
+    z = world.edges[row] + (u2 - start) / (world.rows[row + 1] - start) * (
+        world.edges[row + 1] - world.edges[row]
+    )
+    column = _column_of(world.columns, row, u1)
+    left = float(world.columns[row, column])
+    step = float(world.columns[row, column + 1]) - left
+    if not step > 0.0:
+        return 0.0, 0.0, 1.0, 0.0
+    phi = (column + min(1.0, max(0.0, (u1 - left) / step))) * (2.0 * math.pi / width) - math.pi
+    r = math.sqrt(max(0.0, 1.0 - z * z))
+    dx, dy = r * math.cos(phi), r * math.sin(phi)
+    if share == 0.0:
+        return dx, dy, z, _map_density(world, row, column)
+    return dx, dy, z, world_density(world, nx, ny, nz, transmissive, dx, dy, z)

@@ -1,0 +1,246 @@
+"""Kernels that sample one light for each point, and weigh what rays meet against them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.raytracing.emitters import Emitters, emitter_density, find_emitter, sample_emitter
+from pointmr_engine.raytracing.environment import WorldMap, sample_world, world_density
+from pointmr_engine.raytracing.lamps import Lamps, intersect_lamp, lamp_pdf_scale, sample_lamp
+from pointmr_engine.raytracing.light_tree import LAMP as LAMP_NODE
+from pointmr_engine.raytracing.light_tree import SUN, LightTree, choose_light, light_probability
+from pointmr_engine.raytracing.light_tree import WORLD as WORLD_NODE
+from pointmr_engine.scene.group import CAMERA
+
+NONE, LAMP, TRIANGLE, WORLD = 0, 1, 2, 3
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+class LightSamples(NamedTuple):
+    """One chosen light for each of N points. All but `kind` is undefined where kind is NONE (nothing lights the point).
+
+    The light adds f(wi, direction) |cos| * radiance / pdf * (mis ? power_heuristic(pdf, bsdf_pdf) : 1), where
+    the lobes that `visibility` names are f. Shadow rays run from t_min to `distance` less a little.
+    """
+
+    kind: np.ndarray  # (N,) uint8: NONE, LAMP, TRIANGLE, WORLD
+    index: np.ndarray  # (N,) int32: lamp, emitter, or 0
+    direction: np.ndarray  # (N, 3) float64, unit, from the point to the light
+    distance: np.ndarray  # (N,) float64, inf for sun and world
+    radiance: np.ndarray  # (N, 3) float32; for delta lamps: radiance times solid angle
+    pdf: (
+        np.ndarray
+    )  # (N,) float64 per solid angle, selection included; for delta lamps: of the selection alone
+    pending: np.ndarray  # (N,) bool: `radiance` must still be filled in, by `Lights.emission_at`
+    mis: np.ndarray  # (N,) bool: a ray chosen by a BSDF can meet this light too
+    cast_shadow: np.ndarray  # (N,) bool
+    visibility: (
+        np.ndarray
+    )  # (N,) uint8, bits DIFFUSE, GLOSSY, TRANSMISSION of scene.group: what may see the light
+    triangle: np.ndarray  # (N,) int32, the emissive triangle that a shadow ray may touch, -1 if none
+    path: np.ndarray  # (N,) uint64, its instance path
+    u: np.ndarray  # (N,) float32, barycentric weight of vertex 1
+    v: np.ndarray  # (N,) float32, barycentric weight of vertex 2
+
+
+def allocate_light_samples(n: int) -> LightSamples:
+    """Room for n samples, none of them valid."""
+    return LightSamples(
+        np.zeros(n, np.uint8),
+        np.zeros(n, np.int32),
+        np.zeros((n, 3)),
+        np.zeros(n),
+        np.zeros((n, 3), np.float32),
+        np.zeros(n),
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.uint8),
+        np.full(n, -1, np.int32),
+        np.zeros(n, np.uint64),
+        np.zeros(n, np.float32),
+        np.zeros(n, np.float32),
+    )
+
+
+class LightArrays(NamedTuple):
+    """What the kernels read."""
+
+    lamps: Lamps
+    emitters: Emitters
+    world: WorldMap
+    tree: LightTree
+    world_visibility: int
+    met_suns: int  # how many of met_lamps are suns
+    met_lamps: np.ndarray  # (K,) int32: lamps that rays can meet, suns first
+
+
+def power_heuristic(pdf: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(N,) float32: pdf^2 / (pdf^2 + other^2); 1 where pdf is infinite or other is 0."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ratio = np.where(other > 0.0, other / pdf, 0.0)
+        return (1.0 / (1.0 + ratio * ratio)).astype(np.float32)
+
+
+@_jit
+def sample_light(lights, px, py, pz, nx, ny, nz, transmissive, u_select, u1, u2):
+    """Choose one light for a point: (node, dx, dy, dz, distance, pdf, scale, u, v). pdf 0: none.
+
+    node: leaf of lights.tree, whose kind and item say which light it is. scale multiplies a lamp's radiance. For delta
+    lamps pdf is the probability of the choice. u and v: the place on a triangle.
+    """
+    tree = lights.tree
+    node, probability = choose_light(tree, lights.lamps, px, py, pz, nx, ny, nz, transmissive, u_select)
+    if node < 0:
+        return -1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    kind = tree.kind[node]
+    item = tree.item[node]
+    if kind == LAMP_NODE or kind == SUN:
+        dx, dy, dz, t, pdf, scale = sample_lamp(
+            lights.lamps, item, px, py, pz, nx, ny, nz, transmissive, u1, u2
+        )
+        return node, dx, dy, dz, t, pdf * probability, scale, 0.0, 0.0
+    if kind == WORLD_NODE:
+        dx, dy, dz, pdf = sample_world(lights.world, nx, ny, nz, transmissive, u1, u2)
+        return node, dx, dy, dz, math.inf, pdf * probability, 1.0, 0.0, 0.0
+    dx, dy, dz, t, pdf, u, v = sample_emitter(lights.emitters, item, px, py, pz, u1, u2)
+    return node, dx, dy, dz, t, pdf * probability, 1.0, u, v
+
+
+@_jit
+def sample_lights(lights, position, normal, transmissive, u, out):
+    for i in range(len(position)):
+        out.kind[i] = NONE
+        out.pending[i] = False
+        out.triangle[i] = -1
+        node, dx, dy, dz, t, pdf, scale, bu, bv = sample_light(
+            lights,
+            position[i, 0],
+            position[i, 1],
+            position[i, 2],
+            float(normal[i, 0]),
+            float(normal[i, 1]),
+            float(normal[i, 2]),
+            transmissive[i],
+            u[i, 0],
+            u[i, 1],
+            u[i, 2],
+        )
+        # written so that a NaN fails as well
+        if not (pdf > 0.0 and pdf < math.inf and scale > 0.0 and t > 0.0):
+            continue
+        out.direction[i, 0], out.direction[i, 1], out.direction[i, 2] = dx, dy, dz
+        out.distance[i] = t
+        out.pdf[i] = pdf
+        kind = lights.tree.kind[node]
+        item = lights.tree.item[node]
+        out.index[i] = item
+        out.cast_shadow[i] = True
+        out.mis[i] = True
+        if kind == LAMP_NODE or kind == SUN:
+            lamps = lights.lamps
+            out.kind[i] = LAMP
+            for k in range(3):
+                out.radiance[i, k] = lamps.radiance[item, k] * scale
+            out.mis[i] = lamps.mis[item]
+            out.cast_shadow[i] = lamps.cast_shadow[item]
+            out.visibility[i] = lamps.visibility[item]
+        elif kind == WORLD_NODE:
+            out.kind[i] = WORLD
+            out.pending[i] = True
+            out.visibility[i] = lights.world_visibility
+        else:
+            emitters = lights.emitters
+            out.kind[i] = TRIANGLE
+            out.pending[i] = emitters.varying[item]
+            for k in range(3):
+                out.radiance[i, k] = emitters.radiance[item, k]
+            out.visibility[i] = emitters.visibility[item]
+            out.triangle[i] = emitters.triangle[item]
+            out.path[i] = emitters.path[item]
+            out.u[i] = bu
+            out.v[i] = bv
+
+
+@_jit
+def _weight(pdf, other):
+    """Power heuristic of one pair; pdf may be infinite."""
+    if not other > 0.0:
+        return 1.0
+    ratio = other / pdf
+    return 1.0 / (1.0 + ratio * ratio)
+
+
+@_jit
+def add_seen_lamps(lights, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out):
+    lamps = lights.lamps
+    for i in range(len(position)):
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        camera = visibility[i] & CAMERA
+        first = 0 if t_hit[i] == math.inf else lights.met_suns
+        for k in range(first, len(lights.met_lamps)):
+            lamp = lights.met_lamps[k]
+            if not (lamps.visibility[lamp] & visibility[i]):
+                continue
+            if not lamps.mis[lamp] and (not camera or k < lights.met_suns):
+                continue
+            t = intersect_lamp(lamps, lamp, px, py, pz, dx, dy, dz)
+            if not (t > 0.0) or (t >= t_hit[i] and t < math.inf):
+                continue
+            nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
+            pdf, scale = lamp_pdf_scale(lamps, lamp, px, py, pz, nx, ny, nz, transmissive[i], dx, dy, dz, t)
+            if not scale > 0.0:
+                continue
+            if bsdf_pdf[i] < math.inf and lamps.mis[lamp]:
+                leaf = lights.tree.leaf_of_lamp[lamp]
+                pdf *= light_probability(lights.tree, lamps, leaf, px, py, pz, nx, ny, nz, transmissive[i])
+                scale *= _weight(bsdf_pdf[i], pdf)
+            for c in range(3):
+                out[i, c] += lamps.radiance[lamp, c] * scale
+
+
+@_jit
+def emitter_pdf(lights, path, triangle, position, normal, transmissive, distance, out):
+    emitters = lights.emitters
+    for i in range(len(path)):
+        out[i] = 0.0
+        e = find_emitter(emitters, path[i], triangle[i])
+        if e < 0:
+            continue
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        pdf = emitter_density(emitters, e, px, py, pz, distance[i])
+        if pdf > 0.0:
+            leaf = lights.tree.leaf_of_emitter[e]
+            nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
+            out[i] = pdf * light_probability(
+                lights.tree, lights.lamps, leaf, px, py, pz, nx, ny, nz, transmissive[i]
+            )
+
+
+@_jit
+def world_pdf(lights, position, normal, transmissive, direction, out):
+    for i in range(len(direction)):
+        nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
+        pdf = world_density(
+            lights.world, nx, ny, nz, transmissive[i], direction[i, 0], direction[i, 1], direction[i, 2]
+        )
+        if pdf > 0.0:
+            pdf *= light_probability(
+                lights.tree,
+                lights.lamps,
+                lights.tree.leaf_of_world,
+                position[i, 0],
+                position[i, 1],
+                position[i, 2],
+                nx,
+                ny,
+                nz,
+                transmissive[i],
+            )
+        out[i] = pdf

@@ -1,0 +1,206 @@
+"""Building the light tree: splits by brightness, extent and orientation, then clusters' cones from the leaves up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.raytracing.light_tree import AX, BEHIND, COS_O, COS_OE, CX, ENERGY, HX, RADIUS, SIN_O
+
+_BINS = 12
+# columns of a bin: lower and upper corner, sum of energy-weighted axes, energy, number of lights
+_LOW, _HIGH, _AXIS, _SUM, _COUNT = 0, 3, 6, 9, 10
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+def split(values: np.ndarray):
+    """Divide n lights until each is alone: (order (n,), node_range (2n-1, 2), parent (2n-1,), first_child (2n-1,)).
+
+    Node k holds the lights order[node_range[k, 0] : node_range[k, 1]]; first_child is -1 for leaves.
+    """
+    n = len(values)
+    order = np.arange(n, dtype=np.int32)
+    node_range = np.zeros((2 * n - 1, 2), np.int32)
+    parent = np.full(2 * n - 1, -1, np.int32)
+    first_child = np.full(2 * n - 1, -1, np.int32)
+    _split(values, order, np.empty(n, np.int32), node_range, parent, first_child, np.empty((3, _BINS, 11)))
+    return order, node_range, parent, first_child
+
+
+@_jit
+def _clear(bins):
+    for k in range(3):
+        for b in range(_BINS):
+            bins[k, b, _LOW : _LOW + 3] = math.inf
+            bins[k, b, _HIGH : _HIGH + 3] = -math.inf
+            bins[k, b, _AXIS:] = 0.0
+
+
+@_jit
+def _merge(into, other):
+    for k in range(3):
+        into[_LOW + k] = min(into[_LOW + k], other[_LOW + k])
+        into[_HIGH + k] = max(into[_HIGH + k], other[_HIGH + k])
+    for k in range(_AXIS, 11):
+        into[k] += other[k]
+
+
+@_jit
+def _cost(side):
+    """Energy times surface times how far the lights' axes differ."""
+    if side[_COUNT] == 0.0:
+        return 0.0
+    x, y, z = side[_HIGH] - side[_LOW], side[_HIGH + 1] - side[_LOW + 1], side[_HIGH + 2] - side[_LOW + 2]
+    size = math.sqrt(side[_AXIS] ** 2 + side[_AXIS + 1] ** 2 + side[_AXIS + 2] ** 2)
+    spread = 1.0 - min(1.0, size / max(side[_SUM], 1e-300))
+    return side[_SUM] * (x * y + y * z + z * x + 1e-4 * (x * x + y * y + z * z)) * (1.0 + 3.0 * spread)
+
+
+@_jit
+def _best_split(values, order, first, last, bins):
+    """(axis, bin, lower bound, width) of the cheapest split; axis -1 if all centres coincide."""
+    best, best_axis, best_bin, best_low, best_width = math.inf, -1, 0, 0.0, 1.0
+    low = np.full(3, math.inf)
+    high = np.full(3, -math.inf)
+    for i in range(first, last):
+        v = values[order[i]]
+        for k in range(3):
+            low[k] = min(low[k], v[CX + k])
+            high[k] = max(high[k], v[CX + k])
+    widest = max(high[0] - low[0], high[1] - low[1], high[2] - low[2])
+    if not widest > 0.0:
+        return -1, 0, 0.0, 1.0
+    _clear(bins)
+    reference = values[order[first]]
+    for i in range(first, last):
+        v = values[order[i]]
+        turn = 1.0
+        if v[BEHIND] == 1.0 and v[COS_O] > 0.0:
+            # what shines to both sides has no sign: turn it like the first
+            dot = v[AX] * reference[AX] + v[AX + 1] * reference[AX + 1] + v[AX + 2] * reference[AX + 2]
+            turn = math.copysign(1.0, dot)
+        weight = turn * v[ENERGY] * (1.0 if v[COS_O] > 0.0 else 0.0)
+        for k in range(3):
+            width = high[k] - low[k]
+            if not width > 0.0:
+                continue
+            b = bins[k, min(_BINS - 1, int((v[CX + k] - low[k]) / width * _BINS))]
+            for j in range(3):
+                b[_LOW + j] = min(b[_LOW + j], v[CX + j] - v[HX + j])
+                b[_HIGH + j] = max(b[_HIGH + j], v[CX + j] + v[HX + j])
+                b[_AXIS + j] += weight * v[AX + j]
+            b[_SUM] += v[ENERGY]
+            b[_COUNT] += 1.0
+    side = np.empty(11)
+    right = np.empty(_BINS)
+    for k in range(3):
+        width = high[k] - low[k]
+        if not width > 0.0:
+            continue
+        stretch = widest / width  # thin boxes are costly to split along their thin side
+        side[:] = bins[k, _BINS - 1]
+        right[_BINS - 1] = _cost(side)
+        for b in range(_BINS - 2, 0, -1):
+            _merge(side, bins[k, b])
+            right[b] = _cost(side)
+        side[:] = bins[k, 0]
+        for b in range(1, _BINS):
+            cost = stretch * (_cost(side) + right[b])
+            if cost < best:
+                best, best_axis, best_bin, best_low, best_width = cost, k, b, low[k], width
+            _merge(side, bins[k, b])
+    return best_axis, best_bin, best_low, best_width
+
+
+@_jit
+def _split(values, order, spare, node_range, parent, first_child, bins):
+    node_range[0, 0], node_range[0, 1] = 0, len(order)
+    count = 1
+    node = 0
+    while node < count:
+        first, last = node_range[node, 0], node_range[node, 1]
+        if last - first > 1:
+            middle = first
+            axis, border, low, width = _best_split(values, order, first, last, bins)
+            if axis >= 0:
+                high = 0
+                for i in range(first, last):
+                    light = order[i]
+                    if min(_BINS - 1, int((values[light, CX + axis] - low) / width * _BINS)) < border:
+                        order[middle] = light
+                        middle += 1
+                    else:
+                        spare[high] = light
+                        high += 1
+                order[middle:last] = spare[:high]
+            if middle == first or middle == last:
+                middle = (first + last) // 2
+            first_child[node] = count
+            for k in range(2):
+                node_range[count + k, 0] = first if k == 0 else middle
+                node_range[count + k, 1] = middle if k == 0 else last
+                parent[count + k] = node
+            count += 2
+        node += 1
+
+
+@_jit
+def _union_cone(out, a, b):
+    """Cone of axes around those of two nodes."""
+    out[BEHIND] = max(a[BEHIND], b[BEHIND])
+    out[COS_OE] = -1.0
+    out[COS_O], out[SIN_O] = -1.0, 0.0
+    out[AX], out[AX + 1], out[AX + 2] = 0.0, 0.0, 1.0
+    if a[COS_O] <= -1.0 or b[COS_O] <= -1.0:
+        return
+    angle_a, angle_b = math.acos(min(1.0, a[COS_O])), math.acos(min(1.0, b[COS_O]))
+    emission = max(
+        math.acos(max(-1.0, min(1.0, a[COS_OE]))) - angle_a,
+        math.acos(max(-1.0, min(1.0, b[COS_OE]))) - angle_b,
+    )
+    dot = a[AX] * b[AX] + a[AX + 1] * b[AX + 1] + a[AX + 2] * b[AX + 2]
+    turn = 1.0
+    if dot < 0.0 and a[BEHIND] == 1.0 and b[BEHIND] == 1.0:
+        turn, dot = -1.0, -dot
+    between = math.acos(max(-1.0, min(1.0, dot)))
+    if between + angle_b <= angle_a:
+        out[AX : AX + 3] = a[AX : AX + 3]
+        angle = angle_a
+    elif between + angle_a <= angle_b:
+        out[AX : AX + 3] = b[AX : AX + 3]
+        angle = angle_b
+    else:
+        angle = 0.5 * (angle_a + between + angle_b)
+        if angle >= math.pi or between > 3.1415:
+            return
+        # turn a's axis towards b's so that both cones touch the new one's border
+        x = math.sin(between - (angle - angle_a)) / math.sin(between)
+        y = turn * math.sin(angle - angle_a) / math.sin(between)
+        for k in range(3):
+            out[AX + k] = x * a[AX + k] + y * b[AX + k]
+    angle = min(math.pi, angle + 1e-6)
+    out[COS_O], out[SIN_O] = math.cos(angle), math.sin(angle)
+    out[COS_OE] = math.cos(min(math.pi, angle + emission + 1e-6))
+
+
+@_jit
+def gather(values, first_child):
+    """Fill in the clusters' values from their children's, the last node first."""
+    for node in range(len(first_child) - 1, -1, -1):
+        child = first_child[node]
+        if child < 0:
+            continue
+        out, a, b = values[node], values[child], values[child + 1]
+        square = 0.0
+        for k in range(3):
+            low = min(a[CX + k] - a[HX + k], b[CX + k] - b[HX + k])
+            high = max(a[CX + k] + a[HX + k], b[CX + k] + b[HX + k])
+            out[CX + k] = 0.5 * (low + high)
+            out[HX + k] = 0.5 * (high - low)
+            square += out[HX + k] * out[HX + k]
+        out[RADIUS] = math.sqrt(square)
+        out[ENERGY] = a[ENERGY] + b[ENERGY]
+        _union_cone(out, a, b)
