@@ -15,6 +15,7 @@ from numba import njit
 from pointmr_engine.shading import leaves
 from pointmr_engine.shading.bsdf import ashikhmin_shirley, diffuse, microfacet, sheen
 from pointmr_engine.shading.bsdf.albedo_tables import Tables, load_tables  # noqa: F401
+from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -190,7 +191,7 @@ def _append_sums(lobes: Lobes, kind: int, rows: np.ndarray, weight: np.ndarray) 
         lobes.emission[rows] += weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _bump_shadowing(lobes, i, j, base, wo, sampled):
     """How much of direction wo a lobe with a bumped normal gets: nothing through the smooth surface, and a soft
     terminator for diffuse lobes (Conty Estevez, Lecocq, Stein 2019)."""
@@ -213,31 +214,31 @@ def _bump_shadowing(lobes, i, j, base, wo, sampled):
     return 2.0 / (1.0 + math.sqrt(1.0 + alpha2 * (1.0 / (cos_i * cos_i) - 1.0)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _diffuse_value(lobes, i, j, base, wi, wo):
+@device
+def _diffuse_value(data, i, j, base, wi, wo):
     """A diffuse lobe's BSDF * cos without its weight, and pdf."""
-    normal = load3(lobes.data, i, j, NORMAL)
+    normal = load3(data, i, j, NORMAL)
     cos_no = dot(normal, wo)
     if base == TRANSLUCENT:
         cos_no = -cos_no
     elif base == SHEEN:
-        x = load3(lobes.data, i, j, TANGENT)
-        a = np.float64(lobes.data[i, j, ALPHA_X])
-        b = np.float64(lobes.data[i, j, ALPHA_Y])
+        x = load3(data, i, j, TANGENT)
+        a = np.float64(data[i, j, ALPHA_X])
+        b = np.float64(data[i, j, ALPHA_Y])
         f = sheen.evaluate(a, b, dot(x, wo), dot(cross(normal, x), wo), cos_no)
         return (f, f, f), f
     if cos_no <= 0.0:
         return _BLACK, 0.0
     f = cos_no / math.pi
     if base == OREN_NAYAR:
-        a = np.float64(lobes.data[i, j, ALPHA_X])
-        b = np.float64(lobes.data[i, j, ALPHA_Y])
-        multiple = load3(lobes.data, i, j, F0)
+        a = np.float64(data[i, j, ALPHA_X])
+        b = np.float64(data[i, j, ALPHA_Y])
+        multiple = load3(data, i, j, F0)
         return diffuse.evaluate(a, b, multiple, dot(normal, wi), cos_no, dot(wi, wo)), f
     return (f, f, f), f
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _sum(lobes, i, wi, wo, sampled):
     """`evaluate`, with the lobe that wo was sampled from (-1: none), which alone ignores the bumped leak test."""
     diffuse_sum = _BLACK
@@ -254,13 +255,13 @@ def _sum(lobes, i, wi, wo, sampled):
             continue
         transmitted = False
         if base <= TRANSLUCENT:
-            f, pdf = _diffuse_value(lobes, i, j, base, wi, wo)
+            f, pdf = _diffuse_value(lobes.data, i, j, base, wi, wo)
             transmitted = base == TRANSLUCENT
         elif base == ASHIKHMIN_SHIRLEY:
-            grey, pdf = ashikhmin_shirley.evaluate(lobes, i, j, wi, wo)
+            grey, pdf = ashikhmin_shirley.evaluate(kind, lobes.data, i, j, wi, wo)
             f = (grey, grey, grey)
         else:
-            f, pdf, transmitted = microfacet.evaluate(lobes, i, j, wi, wo)
+            f, pdf, transmitted = microfacet.evaluate(kind, lobes.data, i, j, lobes.film_table, wi, wo)
         if not pdf > 0.0:
             continue
         shadow = 1.0
@@ -355,9 +356,11 @@ def sample(lobes, i, wi, u_choose, u1, u2):
             np.float64(lobes.data[i, chosen, ALPHA_X]) * np.float64(lobes.data[i, chosen, ALPHA_Y])
         )
         if base == ASHIKHMIN_SHIRLEY:
-            wo = ashikhmin_shirley.sample(lobes, i, chosen, wi, u1, u2)
+            wo = ashikhmin_shirley.sample(kind, lobes.data, i, chosen, wi, u1, u2)
         else:
-            wo, refracted, singular, f, chance = microfacet.sample(lobes, i, chosen, wi, u, u1, u2)
+            wo, refracted, singular, f, chance = microfacet.sample(
+                kind, lobes.data, i, chosen, lobes.film_table, wi, u, u1, u2
+            )
             normal = load3(lobes.data, i, chosen, NORMAL)
             if chance <= 0.0 or (dot(normal, wo) < 0.0) != refracted:
                 return wo, _BLACK, 0.0, LABEL_NONE, alpha, 1.0

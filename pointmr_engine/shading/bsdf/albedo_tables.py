@@ -7,24 +7,27 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from pointmr_engine.shading.bsdf.jit import device
 
 PATH = Path(__file__).with_name("tables.npz")
 
 
 class Tables(NamedTuple):
-    """Precomputed albedos, float32, C order.
+    """Precomputed albedos, float32, C order. The first axis, where there are variants, chooses one.
 
-    Axes are evenly spaced in 0..1: roughness (square root of GGX alpha), cosine of the view, and
+    The other axes are evenly spaced in 0..1: roughness (square root of GGX alpha), cosine of the view, and
     z = sqrt(|ior - 1| / (ior + 1)).
     """
 
-    ggx: np.ndarray  # (32 cosine, 32 roughness) albedo of reflecting GGX
-    ggx_average: np.ndarray  # (32 roughness,) its cosine-weighted mean
+    ggx: np.ndarray  # (1, 32 cosine, 32 roughness) albedo of reflecting GGX
+    ggx_average: np.ndarray  # (1, 1, 32 roughness) its cosine-weighted mean
     glass: np.ndarray  # (2: ior above or below 1, 16 z, 16 cosine, 16 roughness) albedo of GGX glass
     glass_average: np.ndarray  # (2, 16 z, 16 roughness)
-    schlick_dielectric: np.ndarray  # (16 z, 16 cosine, 16 roughness) mean mix of f0 and 1, dielectric curve
-    schlick: np.ndarray  # (16 cosine, 16 roughness) the same for Schlick's fifth power
+    schlick_dielectric: (
+        np.ndarray
+    )  # (1, 16 z, 16 cosine, 16 roughness) mean mix of f0 and 1, dielectric curve
+    schlick: np.ndarray  # (1, 16 cosine, 16 roughness) the same for Schlick's fifth power
     sheen: np.ndarray  # (3: a, b, albedo; 32 roughness; 32 cosine)
     film: np.ndarray  # (6: re rgb, im rgb; m) spectral sensitivities over the optical path difference
 
@@ -36,29 +39,36 @@ def load_tables() -> Tables:
         return Tables(*(np.ascontiguousarray(file[name], np.float32) for name in Tables._fields))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _position(x, size):
+    """Index and fraction of x in 0..1 among evenly spaced entries."""
     x = min(max(x, 0.0), 1.0) * (size - 1)
     k = min(int(x), max(size - 2, 0))
     return k, x - k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def lookup1(table, x):
-    """Linear interpolation; x in 0..1, clamped."""
-    k, t = _position(x, table.shape[0])
-    return (1.0 - t) * table[k] + t * table[k + 1]
+@device
+def lookup2(table, variant, y, x):
+    """Bilinear interpolation in one variant; x along the last axis; both clamped to 0..1."""
+    k, t = _position(y, table.shape[1])
+    m, u = _position(x, table.shape[2])
+    n = min(k + 1, table.shape[1] - 1)
+    low = (1.0 - u) * table[variant, k, m] + u * table[variant, k, m + 1]
+    high = (1.0 - u) * table[variant, n, m] + u * table[variant, n, m + 1]
+    return (1.0 - t) * low + t * high
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def lookup2(table, y, x):
-    """Bilinear interpolation; x along the last axis."""
-    k, t = _position(y, table.shape[0])
-    return (1.0 - t) * lookup1(table[k], x) + t * lookup1(table[k + 1], x)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lookup3(table, z, y, x):
-    """Trilinear interpolation."""
-    k, t = _position(z, table.shape[0])
-    return (1.0 - t) * lookup2(table[k], y, x) + t * lookup2(table[k + 1], y, x)
+@device
+def lookup3(table, variant, z, y, x):
+    """Trilinear interpolation in one variant."""
+    h, s = _position(z, table.shape[1])
+    k, t = _position(y, table.shape[2])
+    m, u = _position(x, table.shape[3])
+    total = 0.0
+    for corner in range(8):
+        a = corner & 1
+        b = (corner >> 1) & 1
+        c = corner >> 2
+        w = (u if a else 1.0 - u) * (t if b else 1.0 - t) * (s if c else 1.0 - s)
+        total += w * table[variant, h + c, k + b, m + a]
+    return total

@@ -5,25 +5,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import ALPHA_X, ALPHA_Y, ANISOTROPIC, NORMAL, TANGENT
 from pointmr_engine.shading.bsdf.vector import basis, combine, cross, dot, load3, normalized, to_world
 
 _SMOOTHEST = 1e-4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _exponents(lobes, i, j):
-    x = np.float64(lobes.data[i, j, ALPHA_X])
-    y = np.float64(lobes.data[i, j, ALPHA_Y])
+@device
+def _exponents(data, i, j):
+    x = np.float64(data[i, j, ALPHA_X])
+    y = np.float64(data[i, j, ALPHA_Y])
     return 2.0 / (x * x) - 2.0, 2.0 / (y * y) - 2.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(lobes, i, j, wi, wo):
+@device
+def evaluate(kind, data, i, j, wi, wo):
     """BSDF * cos per unit weight (grey), and pdf."""
-    normal = load3(lobes.data, i, j, NORMAL)
+    normal = load3(data, i, j, NORMAL)
     cos_ni = dot(normal, wi)
     cos_no = dot(normal, wo)
     if cos_ni < 0.0 or cos_no < 0.0:
@@ -32,12 +32,12 @@ def evaluate(lobes, i, j, wi, wo):
     cos_no = max(cos_no, 1e-6)
     half = normalized(combine(1.0, wi, 1.0, wo), normal)
     cos_hi = max(abs(dot(half, wi)), 1e-6)
-    nx, ny = _exponents(lobes, i, j)
+    nx, ny = _exponents(data, i, j)
     across = cross(normal, half)
     sin2 = dot(across, across)
     exponent = nx
-    if lobes.kind[i, j] & ANISOTROPIC and sin2 > 0.0:
-        x = load3(lobes.data, i, j, TANGENT)
+    if kind & ANISOTROPIC and sin2 > 0.0:
+        x = load3(data, i, j, TANGENT)
         hx = dot(half, x)
         hy = dot(half, cross(normal, x))
         exponent = (nx * hx * hx + ny * hy * hy) / sin2
@@ -48,14 +48,14 @@ def evaluate(lobes, i, j, wi, wo):
     return cos_no * lobe / (cos_hi * max(cos_ni, cos_no)), pdf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sample(lobes, i, j, wi, u1, u2):
+@device
+def sample(kind, data, i, j, wi, u1, u2):
     """A direction, valid or not: the caller checks its side."""
-    normal = normalized(load3(lobes.data, i, j, NORMAL), wi)
-    nx, ny = _exponents(lobes, i, j)
+    normal = normalized(load3(data, i, j, NORMAL), wi)
+    nx, ny = _exponents(data, i, j)
     phi = 2.0 * math.pi * u1
-    if lobes.kind[i, j] & ANISOTROPIC:
-        x = load3(lobes.data, i, j, TANGENT)
+    if kind & ANISOTROPIC:
+        x = load3(data, i, j, TANGENT)
         y = cross(normal, x)
         ratio = math.sqrt((nx + 1.0) / (ny + 1.0))
         phi = math.atan2(ratio * math.sin(phi), math.cos(phi))

@@ -12,13 +12,14 @@ from numba import njit
 
 from pointmr_engine.shading.bsdf.albedo_tables import PATH, Tables
 from pointmr_engine.shading.bsdf.fresnel import dielectric, f0_of_ior, ior_of_f0, remap
+from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.microfacet import _visible_ggx
 
 REFLECTION_SIZE = 32
 SIZE = 16
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _masking(alpha2, cosine):
     """Smith's lambda."""
     return 0.5 * (math.sqrt(1.0 + alpha2 * (1.0 / (cosine * cosine) - 1.0)) - 1.0)
@@ -97,12 +98,12 @@ def build(side: int = 128, steps: int = 64) -> dict[str, np.ndarray]:
                         mix[z, y, x] = values[2]
                         schlick[y, x] = values[3]
     return {
-        "ggx": ggx,
-        "ggx_average": ggx_average,
+        "ggx": ggx[None],
+        "ggx_average": ggx_average[None, None],
         "glass": glass,
         "glass_average": glass_average,
-        "schlick_dielectric": mix,
-        "schlick": schlick,
+        "schlick_dielectric": mix[None],
+        "schlick": schlick[None],
     }
 
 

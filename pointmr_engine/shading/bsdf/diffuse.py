@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from pointmr_engine.shading.bsdf.jit import device
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def single_albedo(a, b, cos_v):
     """Directional albedo of the single-scattering part."""
     if cos_v < 1e-6:  # tan grows without bound: first-order expansion
@@ -19,7 +19,7 @@ def single_albedo(a, b, cos_v):
     return a * math.pi + b * g
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def setup(roughness, color, cos_v):
     """Coefficients a, b and the multiple-scattering rgb (without the factor of the light direction)."""
     sigma = min(max(roughness, 0.0), 1.0)
@@ -43,7 +43,7 @@ def setup(roughness, color, cos_v):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def evaluate(a, b, multiple, cos_v, cos_l, cos_vl):
     """BSDF * cos per unit colour, rgb; cosines of view, light and between them."""
     cos_v = max(cos_v, 0.0)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.shading.bsdf.fresnel import dielectric, f0_of_ior, f82, remap
+from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -34,7 +34,7 @@ from pointmr_engine.shading.bsdf.layout import (
     TINT,
     TRANSMISSION_TINT,
 )
-from pointmr_engine.shading.bsdf.thin_film import dielectric_film, metallic_film
+from pointmr_engine.shading.bsdf.thin_film import film_reflectance
 from pointmr_engine.shading.bsdf.vector import basis, combine, cross, dot, load3, mean, normalized, to_world
 
 IOR_MATCHED = 1e-4  # closer to 1, refraction goes straight on
@@ -42,21 +42,24 @@ _BLACK = (0.0, 0.0, 0.0)
 _WHITE = (1.0, 1.0, 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def fresnel(lobes, i, j, cos_i):
+@device
+def fresnel(kind, data, i, j, film_table, cos_i):
     """(reflectance rgb, transmittance rgb, refracted cosine) of lobe j's facets met at cosine cos_i."""
-    kind = lobes.kind[i, j]
     base = kind & KIND_MASK
-    data = lobes.data
     ior = np.float64(data[i, j, IOR])
     cos_t = 0.0
+    film = _WHITE
+    if kind & THIN_FILM:
+        metallic = (kind & FRESNEL_F82) != 0
+        thickness = np.float64(data[i, j, FILM_THICKNESS])
+        film_ior = np.float64(data[i, j, FILM_IOR])
+        f0 = load3(data, i, j, F0)
+        edge = load3(data, i, j, TINT)
+        film, cos_t = film_reflectance(film_table, cos_i, thickness, film_ior, ior, metallic, f0, edge)
     if kind & FRESNEL_SCHLICK:
         f0 = load3(data, i, j, F0)
         f0_real = f0_of_ior(ior)
         if kind & THIN_FILM:
-            thickness = np.float64(data[i, j, FILM_THICKNESS])
-            film_ior = np.float64(data[i, j, FILM_IOR])
-            film, cos_t = dielectric_film(lobes.film_table, cos_i, thickness, film_ior, ior)
             fr = _scaled_film(film[0], f0[0], f0_real)
             fg = _scaled_film(film[1], f0[1], f0_real)
             fb = _scaled_film(film[2], f0[2], f0_real)
@@ -71,13 +74,10 @@ def fresnel(lobes, i, j, cos_i):
         tint = load3(data, i, j, TRANSMISSION_TINT)
         transmittance = ((1.0 - fr) * tint[0], (1.0 - fg) * tint[1], (1.0 - fb) * tint[2])
     elif kind & FRESNEL_F82:
-        f0 = load3(data, i, j, F0)
-        b = load3(data, i, j, TINT)
-        if kind & THIN_FILM:
-            thickness = np.float64(data[i, j, FILM_THICKNESS])
-            film_ior = np.float64(data[i, j, FILM_IOR])
-            reflectance = metallic_film(lobes.film_table, cos_i, thickness, film_ior, f0, b)
-        else:
+        reflectance = film
+        if not kind & THIN_FILM:
+            f0 = load3(data, i, j, F0)
+            b = load3(data, i, j, TINT)
             reflectance = (f82(cos_i, f0[0], b[0]), f82(cos_i, f0[1], b[1]), f82(cos_i, f0[2], b[2]))
         transmittance = _BLACK
     elif kind & FRESNEL_DIELECTRIC:
@@ -98,7 +98,7 @@ def fresnel(lobes, i, j, cos_i):
     return reflectance, transmittance, cos_t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _scaled_film(film, f0, f0_real):
     """Film reflectance scaled by the wanted f0, the more the nearer it is to the dielectric's own."""
     if f0_real <= 1e-5 or film >= 1.0:
@@ -107,7 +107,7 @@ def _scaled_film(film, f0, f0_real):
     return film * (1.0 + s * (f0 / f0_real - 1.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _lambda(beckmann, square):
     """Smith's auxiliary function; square = (alpha tan)^2."""
     if not beckmann:
@@ -118,7 +118,7 @@ def _lambda(beckmann, square):
     return ((0.396 * a - 1.259) * a + 1.0) / ((2.181 * a + 3.535) * a)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _distribution(beckmann, x2, y2, z2, alpha2):
     """Normal distribution; x2, y2 are the half vector's tangential components over alpha, squared, z2 its cosine's."""
     if beckmann:
@@ -127,12 +127,10 @@ def _distribution(beckmann, x2, y2, z2, alpha2):
     return 1.0 / (math.pi * alpha2 * d * d)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(lobes, i, j, wi, wo):
+@device
+def evaluate(kind, data, i, j, film_table, wi, wo):
     """Lobe j between two directions, without its weight: (BSDF * |cos| rgb, pdf, transmitted)."""
-    kind = lobes.kind[i, j]
     base = kind & KIND_MASK
-    data = lobes.data
     normal = load3(data, i, j, NORMAL)
     cos_ni = dot(normal, wi)
     cos_no = dot(normal, wo)
@@ -151,7 +149,7 @@ def evaluate(lobes, i, j, wi, wo):
         return _BLACK, 0.0, transmitted
     length = math.sqrt(length2)
     cos_hi = dot(half, wi) / length
-    reflectance, transmittance, _ = fresnel(lobes, i, j, cos_hi)
+    reflectance, transmittance, _ = fresnel(kind, data, i, j, film_table, cos_hi)
     mean_r = mean(reflectance)
     mean_t = mean(transmittance)
     if not mean_r + mean_t > 0.0:
@@ -202,14 +200,12 @@ def evaluate(lobes, i, j, wi, wo):
     return (f[0] * common, f[1] * common, f[2] * common), pdf, transmitted
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sample(lobes, i, j, wi, u, u1, u2):
+@device
+def sample(kind, data, i, j, film_table, wi, u, u1, u2):
     """A direction of lobe j: (wo, refracted, singular, f rgb, chance); chance 0: none.
 
     f and chance (of this side) are meant for singular directions; others are for `evaluate`.
     """
-    kind = lobes.kind[i, j]
-    data = lobes.data
     normal = normalized(load3(data, i, j, NORMAL), _BLACK)
     cos_ni = dot(normal, wi)
     if cos_ni <= 0.0:
@@ -231,7 +227,7 @@ def sample(lobes, i, j, wi, u, u1, u2):
             h = _visible_ggx(local, alpha_x, alpha_y, u1, u2)
         half = to_world(h[0], h[1], h[2], x, y, normal)
     cos_hi = dot(half, wi)
-    reflectance, transmittance, cos_t = fresnel(lobes, i, j, cos_hi)
+    reflectance, transmittance, cos_t = fresnel(kind, data, i, j, film_table, cos_hi)
     mean_r = mean(reflectance)
     mean_t = mean(transmittance)
     if not mean_r + mean_t > 0.0:
@@ -251,7 +247,7 @@ def sample(lobes, i, j, wi, u, u1, u2):
     return wo, refracted, singular, f, chance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _visible_ggx(wi, alpha_x, alpha_y, u1, u2):
     """A visible normal of GGX: a spherical cap, unstretched (Dupuy and Benyoub 2023)."""
     v = normalized((alpha_x * wi[0], alpha_y * wi[1], wi[2]), (0.0, 0.0, 1.0))
@@ -263,7 +259,7 @@ def _visible_ggx(wi, alpha_x, alpha_y, u1, u2):
     return normalized((x, y, max(z + v[2], 0.0)), (0.0, 0.0, 1.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _inverse_erf(y):
     """Inverse error function: Winitzki's estimate, two Newton steps."""
     y = min(max(y, -0.9999999), 0.9999999)
@@ -275,7 +271,7 @@ def _inverse_erf(y):
     return x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _visible_beckmann(wi, alpha_x, alpha_y, u1, u2):
     """A visible normal of Beckmann: the slope's distribution inverted by guarded Newton steps (Jakob 2014)."""
     v = normalized((alpha_x * wi[0], alpha_y * wi[1], wi[2]), (0.0, 0.0, 1.0))

@@ -13,6 +13,7 @@ from numba import njit
 
 from pointmr_engine.shading.bsdf import diffuse
 from pointmr_engine.shading.bsdf.fresnel import f0_of_ior, f82_term, ior_of_f0
+from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -47,6 +48,7 @@ from pointmr_engine.shading.bsdf.sheen_lobe import push_sheen
 from pointmr_engine.shading.bsdf.vector import (
     combine,
     dot,
+    load3,
     multiply,
     normalized,
     rotate_about,
@@ -82,16 +84,17 @@ _FILM = _C["thin_film_thickness"]
 _FILM_IOR = _C["thin_film_ior"]
 
 FILM_CUTOFF = 0.1  # nanometres
-_WHITE = (1.0, 1.0, 1.0)
+_LAYER_COAT, _LAYER_METAL, _LAYER_GLASS, _LAYER_SPECULAR = range(4)
+_BLACK = (0.0, 0.0, 0.0)
 _ASK = (-1.0, -1.0, -1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _unit(x):
     return min(max(np.float64(x), 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _positive3(block, r, column):
     return (
         max(np.float64(block[r, column]), 0.0),
@@ -100,50 +103,29 @@ def _positive3(block, r, column):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _at_most_one(c):
     return min(c[0], 1.0), min(c[1], 1.0), min(c[2], 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _coat(lobes, i, tables, wi, normal, weight, block, r, reflective):
-    """Add the coat -> the weight left below it, tint included."""
-    strength = max(np.float64(block[r, _COAT]), 0.0)
-    ior = max(np.float64(block[r, _COAT_IOR]), 1.0)
-    normal = valid_normal(lobes, i, wi, normal)
-    under = weight
-    if reflective:
-        j = push(lobes, i, REFLECTION | FRESNEL_DIELECTRIC, scale(strength, weight), normal)
-        if j >= 0:
-            alpha = _unit(block[r, _COAT_ROUGHNESS])
-            lobes.data[i, j, IOR] = ior
-            set_alpha(lobes, i, j, alpha * alpha, alpha * alpha)
-            under = below(finish_microfacet(lobes, i, j, tables, wi, True, _ASK), weight)
-    tint = _positive3(block, r, _COAT_TINT)
-    if tint[0] != 1.0 or tint[1] != 1.0 or tint[2] != 1.0:
-        # absorption along the refracted view ray, normalised to perpendicular view
-        cos_ni = dot(wi, normal)
-        depth = 1.0 / math.sqrt(1.0 - (1.0 - cos_ni * cos_ni) / (ior * ior))
-        under = (
-            under[0] * (1.0 + strength * (tint[0] ** depth - 1.0)),
-            under[1] * (1.0 + strength * (tint[1] ** depth - 1.0)),
-            under[2] * (1.0 + strength * (tint[2] ** depth - 1.0)),
-        )
-    return under
+@device
+def _coat_transmittance(tint, strength, ior, cos_ni):
+    """Absorption by the coat along the refracted view ray, normalised to perpendicular view."""
+    depth = 1.0 / math.sqrt(1.0 - (1.0 - cos_ni * cos_ni) / (ior * ior))
+    return (
+        1.0 + strength * (tint[0] ** depth - 1.0),
+        1.0 + strength * (tint[1] ** depth - 1.0),
+        1.0 + strength * (tint[2] ** depth - 1.0),
+    )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _set_facets(lobes, i, j, alpha_x, alpha_y, anisotropic, tangent, film, film_ior):
     """Roughness, tangent and film of a lobe."""
     data = lobes.data
     if anisotropic:
         lobes.kind[i, j] |= ANISOTROPIC
-        normal = (
-            np.float64(data[i, j, NORMAL]),
-            np.float64(data[i, j, NORMAL + 1]),
-            np.float64(data[i, j, NORMAL + 2]),
-        )
-        store3(data, i, j, TANGENT, tangent_towards(normal, tangent))
+        store3(data, i, j, TANGENT, tangent_towards(load3(data, i, j, NORMAL), tangent))
     if film > FILM_CUTOFF:
         lobes.kind[i, j] |= THIN_FILM
         data[i, j, FILM_THICKNESS] = film
@@ -151,7 +133,7 @@ def _set_facets(lobes, i, j, alpha_x, alpha_y, anisotropic, tangent, film, film_
     set_alpha(lobes, i, j, alpha_x, alpha_y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _base_diffuse(lobes, i, wi, normal, weight, base, block, r):
     """The bottom: diffuse, with subsurface scattering as Lambert."""
     subsurface = _unit(block[r, _SUBSURFACE])
@@ -177,116 +159,11 @@ def _base_diffuse(lobes, i, wi, normal, weight, base, block, r):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _point(
-    lobes, i, tables, wi, backfacing, normal, coat_normal, tangent, block, r, reflective, refractive, multiple
-):
-    """Expand one Principled leaf at point i."""
-    data = lobes.data
-    weight = _positive3(block, r, 0)
-    base = _positive3(block, r, _BASE)
-    color = _at_most_one(base)
-    ior = max(np.float64(block[r, _IOR]), 1e-5)
-    roughness = _unit(block[r, _ROUGHNESS])
-    tint = _positive3(block, r, _SPECULAR_TINT)
-    film = np.float64(block[r, _FILM])
-    film_ior = max(np.float64(block[r, _FILM_IOR]), 1e-5)
-    alpha_x = roughness * roughness
-    alpha_y = alpha_x
-    anisotropy = _unit(block[r, _ANISOTROPIC])
-    anisotropic = anisotropy > 0.0 and dot(tangent, tangent) > 0.0
-    if anisotropic:
-        aspect = math.sqrt(1.0 - 0.9 * anisotropy)
-        alpha_x /= aspect
-        alpha_y *= aspect
-        rotation = np.float64(block[r, _ROTATION])
-        if rotation != 0.0:
-            tangent = rotate_about(tangent, normal, 2.0 * math.pi * rotation)
-    lifted = valid_normal(lobes, i, wi, normal)
-
-    opacity = _unit(block[r, _ALPHA])
-    if opacity < 1.0:
-        for c in range(3):
-            lobes.transparency[i, c] += weight[c] * (1.0 - opacity)
-        weight = scale(opacity, weight)
-
-    coat = max(np.float64(block[r, _COAT]), 0.0)
-    strength = max(np.float64(block[r, _SHEEN]), 0.0)
-    if strength > WEIGHT_CUTOFF:
-        share = min(coat, 1.0)
-        top = normalized(combine(1.0 - share, normal, share, coat_normal), normal)
-        fuzz = scale(strength, multiply(_positive3(block, r, _SHEEN_TINT), weight))
-        weight = below(push_sheen(lobes, i, tables, wi, top, fuzz, _unit(block[r, _SHEEN_ROUGHNESS])), weight)
-    if coat > WEIGHT_CUTOFF:
-        weight = _coat(lobes, i, tables, wi, coat_normal, weight, block, r, reflective)
-    for c in range(3):
-        lobes.emission[i, c] += np.float64(block[r, _EMISSION + c]) * weight[c]
-
-    metallic = _unit(block[r, _METALLIC])
-    if metallic > WEIGHT_CUTOFF:
-        if reflective:
-            j = push(lobes, i, REFLECTION | FRESNEL_F82, scale(metallic, weight), lifted)
-            if j >= 0:
-                data[i, j, IOR] = 1.0
-                store3(data, i, j, F0, color)
-                edge = (
-                    f82_term(color[0], min(tint[0], 1.0)),
-                    f82_term(color[1], min(tint[1], 1.0)),
-                    f82_term(color[2], min(tint[2], 1.0)),
-                )
-                store3(data, i, j, TINT, edge)
-                _set_facets(lobes, i, j, alpha_x, alpha_y, anisotropic, tangent, film, film_ior)
-                finish_microfacet(lobes, i, j, tables, wi, multiple, _ASK)
-        weight = scale(1.0 - metallic, weight)
-
-    transmission = _unit(block[r, _TRANSMISSION])
-    if transmission > WEIGHT_CUTOFF:
-        if reflective or refractive:
-            j = push(lobes, i, GLASS | FRESNEL_SCHLICK, scale(transmission, weight), lifted)
-            if j >= 0:
-                data[i, j, IOR] = 1.0 / ior if backfacing else ior
-                store3(data, i, j, F0, _at_most_one(scale(f0_of_ior(ior), tint)))
-                shown = 1.0 if reflective else 0.0
-                store3(data, i, j, TINT, (shown, shown, shown))
-                shown = 1.0 if refractive else 0.0
-                store3(
-                    data,
-                    i,
-                    j,
-                    TRANSMISSION_TINT,
-                    (shown * math.sqrt(color[0]), shown * math.sqrt(color[1]), shown * math.sqrt(color[2])),
-                )
-                inner = film_ior / ior if backfacing else film_ior
-                _set_facets(
-                    lobes, i, j, roughness * roughness, roughness * roughness, False, tangent, film, inner
-                )
-                finish_microfacet(lobes, i, j, tables, wi, multiple, _ASK)
-        weight = scale(1.0 - transmission, weight)
-
-    eta = ior
-    f0 = f0_of_ior(ior)
-    level = max(np.float64(block[r, _SPECULAR_LEVEL]), 0.0)
-    if level != 0.5:
-        f0 *= 2.0 * level
-        eta = ior_of_f0(f0)
-        if ior < 1.0:
-            eta = 1.0 / eta
-    if reflective and (eta != 1.0 or film > FILM_CUTOFF):
-        j = push(lobes, i, REFLECTION | FRESNEL_SCHLICK, weight, lifted)
-        if j >= 0:
-            data[i, j, IOR] = eta
-            store3(data, i, j, F0, _at_most_one(scale(f0, tint)))
-            store3(data, i, j, TINT, _WHITE)
-            store3(data, i, j, TRANSMISSION_TINT, (0.0, 0.0, 0.0))
-            _set_facets(lobes, i, j, alpha_x, alpha_y, anisotropic, tangent, film, film_ior)
-            weight = below(finish_microfacet(lobes, i, j, tables, wi, multiple, _ASK), weight)
-    _base_diffuse(lobes, i, wi, normal, weight, base, block, r)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def append(
     lobes, rows, view, tables, block, normals, coat_normals, tangents, reflective, refractive, multiple
 ):
     """Expand Principled leaves at the points `rows`; arrays of one row serve all, zero normals mean the point's."""
+    data = lobes.data
     for k in range(rows.shape[0]):
         i = rows[k]
         r = k if block.shape[0] > 1 else 0
@@ -295,19 +172,126 @@ def append(
         normal = normalized(row3(normals, k if normals.shape[0] > 1 else 0), ns)
         coat_normal = normalized(row3(coat_normals, k if coat_normals.shape[0] > 1 else 0), ns)
         tangent = row3(tangents, k if tangents.shape[0] > 1 else 0)
+        backfacing = view.backfacing[i]
         free = not view.diffuse_ray[i]
-        _point(
-            lobes,
-            i,
-            tables,
-            wi,
-            view.backfacing[i],
-            normal,
-            coat_normal,
-            tangent,
-            block,
-            r,
-            reflective or free,
-            refractive or free,
-            multiple,
-        )
+        reflects = reflective or free
+        refracts = refractive or free
+        weight = _positive3(block, r, 0)
+        base = _positive3(block, r, _BASE)
+        color = _at_most_one(base)
+        ior = max(np.float64(block[r, _IOR]), 1e-5)
+        roughness = _unit(block[r, _ROUGHNESS])
+        tint = _positive3(block, r, _SPECULAR_TINT)
+        film = np.float64(block[r, _FILM])
+        film_ior = max(np.float64(block[r, _FILM_IOR]), 1e-5)
+        alpha_x = roughness * roughness
+        alpha_y = alpha_x
+        anisotropy = _unit(block[r, _ANISOTROPIC])
+        anisotropic = anisotropy > 0.0 and dot(tangent, tangent) > 0.0
+        if anisotropic:
+            aspect = math.sqrt(1.0 - 0.9 * anisotropy)
+            alpha_x /= aspect
+            alpha_y *= aspect
+            rotation = np.float64(block[r, _ROTATION])
+            if rotation != 0.0:
+                tangent = rotate_about(tangent, normal, 2.0 * math.pi * rotation)
+        lifted = valid_normal(lobes, i, wi, normal)
+
+        opacity = _unit(block[r, _ALPHA])
+        if opacity < 1.0:
+            for c in range(3):
+                lobes.transparency[i, c] += weight[c] * (1.0 - opacity)
+            weight = scale(opacity, weight)
+
+        coat = max(np.float64(block[r, _COAT]), 0.0)
+        strength = max(np.float64(block[r, _SHEEN]), 0.0)
+        if strength > WEIGHT_CUTOFF:
+            share = min(coat, 1.0)
+            top = normalized(combine(1.0 - share, normal, share, coat_normal), normal)
+            fuzz = scale(strength, multiply(_positive3(block, r, _SHEEN_TINT), weight))
+            weight = below(
+                push_sheen(lobes, i, tables, wi, top, fuzz, _unit(block[r, _SHEEN_ROUGHNESS])), weight
+            )
+        metallic = _unit(block[r, _METALLIC])
+        transmission = _unit(block[r, _TRANSMISSION])
+        eta = ior
+        f0 = f0_of_ior(ior)
+        level = max(np.float64(block[r, _SPECULAR_LEVEL]), 0.0)
+        if level != 0.5:
+            f0 *= 2.0 * level
+            eta = ior_of_f0(f0)
+            if ior < 1.0:
+                eta = 1.0 / eta
+        # one loop over the microfacet layers, so that their common steps are compiled once
+        for layer in range(4):
+            j = -1
+            if layer == _LAYER_COAT:
+                coat_ior = max(np.float64(block[r, _COAT_IOR]), 1.0)
+                top = valid_normal(lobes, i, wi, coat_normal) if coat > WEIGHT_CUTOFF else coat_normal
+                share = coat
+                present = coat > WEIGHT_CUTOFF and reflects
+                kind = REFLECTION | FRESNEL_DIELECTRIC
+            elif layer == _LAYER_METAL:
+                top = lifted
+                share = metallic
+                present = metallic > WEIGHT_CUTOFF and reflects
+                kind = REFLECTION | FRESNEL_F82
+            elif layer == _LAYER_GLASS:
+                share = transmission
+                present = transmission > WEIGHT_CUTOFF and (reflects or refracts)
+                kind = GLASS | FRESNEL_SCHLICK
+            else:
+                share = 1.0
+                present = reflects and (eta != 1.0 or film > FILM_CUTOFF)
+                kind = REFLECTION | FRESNEL_SCHLICK
+            if present:
+                j = push(lobes, i, kind, scale(share, weight), top)
+            taken = _BLACK
+            if j >= 0:
+                if layer == _LAYER_COAT:
+                    data[i, j, IOR] = coat_ior
+                    coat_roughness = _unit(block[r, _COAT_ROUGHNESS])
+                    set_alpha(lobes, i, j, coat_roughness * coat_roughness, coat_roughness * coat_roughness)
+                else:
+                    facets_x = alpha_x
+                    facets_y = alpha_y
+                    tilted = anisotropic
+                    layer_film_ior = film_ior
+                    if layer == _LAYER_METAL:
+                        data[i, j, IOR] = 1.0
+                        store3(data, i, j, F0, color)
+                        for c in range(3):
+                            data[i, j, TINT + c] = f82_term(color[c], min(tint[c], 1.0))
+                    else:
+                        glass = layer == _LAYER_GLASS
+                        store3(data, i, j, F0, _at_most_one(scale(f0_of_ior(ior) if glass else f0, tint)))
+                        shown = 0.0 if glass and not reflects else 1.0
+                        passed = 1.0 if glass and refracts else 0.0
+                        data[i, j, IOR] = eta
+                        for c in range(3):
+                            data[i, j, TINT + c] = shown
+                            data[i, j, TRANSMISSION_TINT + c] = passed * math.sqrt(color[c])
+                        if glass:
+                            data[i, j, IOR] = 1.0 / ior if backfacing else ior
+                            layer_film_ior = film_ior / ior if backfacing else film_ior
+                            facets_x = roughness * roughness
+                            facets_y = facets_x
+                            tilted = False
+                    _set_facets(lobes, i, j, facets_x, facets_y, tilted, tangent, film, layer_film_ior)
+                compensate = multiple or layer == _LAYER_COAT
+                taken = finish_microfacet(lobes.kind[i, j], data, i, j, tables, wi, compensate, _ASK)
+            if layer == _LAYER_METAL:
+                weight = scale(1.0 - metallic, weight)
+            elif layer == _LAYER_GLASS:
+                weight = scale(1.0 - transmission, weight)
+            else:
+                weight = below(taken, weight)
+            if layer == _LAYER_COAT:
+                coat_tint = _positive3(block, r, _COAT_TINT)
+                if coat > WEIGHT_CUTOFF and (
+                    coat_tint[0] != 1.0 or coat_tint[1] != 1.0 or coat_tint[2] != 1.0
+                ):
+                    weight = multiply(weight, _coat_transmittance(coat_tint, coat, coat_ior, dot(wi, top)))
+                for c in range(3):
+                    lobes.emission[i, c] += np.float64(block[r, _EMISSION + c]) * weight[c]
+        _base_diffuse(lobes, i, wi, normal, weight, base, block, r)

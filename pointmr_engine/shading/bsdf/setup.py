@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from pointmr_engine.shading.bsdf.albedo_tables import lookup1, lookup2, lookup3
+from pointmr_engine.shading.bsdf.albedo_tables import lookup2, lookup3
 from pointmr_engine.shading.bsdf.fresnel import dielectric_average, f0_of_ior, f82_average, remap
+from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -52,7 +52,7 @@ from pointmr_engine.shading.bsdf.vector import (
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def push(lobes, i, kind, weight, normal):
     """Add a lobe -> its index, or -1 where its weight is negligible, not finite, or there is no room."""
     weight = (max(weight[0], 0.0), max(weight[1], 0.0), max(weight[2], 0.0))
@@ -71,13 +71,13 @@ def push(lobes, i, kind, weight, normal):
     return j
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def drop(lobes, i):
     """Take back the lobe pushed last."""
     lobes.count[i] -= 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def finish_diffuse(lobes, i, j):
     """Flags and albedo of a diffuse lobe whose weight is final."""
     flags = HAS_EVALUATION | HAS_DIFFUSE
@@ -88,7 +88,7 @@ def finish_diffuse(lobes, i, j):
         lobes.diffuse_color[i, c] += lobes.data[i, j, WEIGHT + c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def set_alpha(lobes, i, j, alpha_x, alpha_y):
     """Store the roughness of a microfacet lobe, singular where it is too smooth."""
     alpha_x = min(max(alpha_x, 0.0), 1.0)
@@ -105,42 +105,39 @@ def set_alpha(lobes, i, j, alpha_x, alpha_y):
     lobes.flags[i] |= np.uint8(flags)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _roughness(lobes, i, j):
-    return math.sqrt(math.sqrt(np.float64(lobes.data[i, j, ALPHA_X]) * np.float64(lobes.data[i, j, ALPHA_Y])))
+@device
+def _roughness(data, i, j):
+    return math.sqrt(math.sqrt(np.float64(data[i, j, ALPHA_X]) * np.float64(data[i, j, ALPHA_Y])))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def albedo(lobes, i, j, tables, cos_ni):
+@device
+def albedo(kind, data, i, j, tables, cos_ni):
     """Estimated (reflected rgb, transmitted rgb) of a microfacet lobe without its weight."""
-    reflected, transmitted, _ = fresnel(lobes, i, j, cos_ni)
-    kind = lobes.kind[i, j]
+    reflected, transmitted, _ = fresnel(kind, data, i, j, tables.film, cos_ni)
     if kind & THIN_FILM or not mean(reflected) > 0.0:
         return reflected, transmitted
-    ior = np.float64(lobes.data[i, j, IOR])
+    ior = np.float64(data[i, j, IOR])
     z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
     if kind & FRESNEL_SCHLICK:
-        s = lookup3(tables.schlick_dielectric, z, cos_ni, _roughness(lobes, i, j))
-        f0 = load3(lobes.data, i, j, F0)
+        s = lookup3(tables.schlick_dielectric, 0, z, cos_ni, _roughness(data, i, j))
+        f0 = load3(data, i, j, F0)
         mixed = (f0[0] + (1.0 - f0[0]) * s, f0[1] + (1.0 - f0[1]) * s, f0[2] + (1.0 - f0[2]) * s)
-        reflected = multiply(mixed, load3(lobes.data, i, j, TINT))
+        reflected = multiply(mixed, load3(data, i, j, TINT))
     elif kind & FRESNEL_F82:
-        s = lookup2(tables.schlick, cos_ni, _roughness(lobes, i, j))
-        f0 = load3(lobes.data, i, j, F0)
+        s = lookup2(tables.schlick, 0, cos_ni, _roughness(data, i, j))
+        f0 = load3(data, i, j, F0)
         reflected = (f0[0] + (1.0 - f0[0]) * s, f0[1] + (1.0 - f0[1]) * s, f0[2] + (1.0 - f0[2]) * s)
     elif kind & FRESNEL_DIELECTRIC and ior > 1.0:
-        s = lookup3(tables.schlick_dielectric, z, cos_ni, _roughness(lobes, i, j))
+        s = lookup3(tables.schlick_dielectric, 0, z, cos_ni, _roughness(data, i, j))
         f0_real = f0_of_ior(ior)
         f = f0_real + (1.0 - f0_real) * s
         reflected = (f, f, f)
     return reflected, transmitted
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _average_fresnel(lobes, i, j):
+@device
+def _average_fresnel(kind, data, i, j):
     """Mean single-scattering Fresnel rgb: the colour that each further bounce between facets takes."""
-    kind = lobes.kind[i, j]
-    data = lobes.data
     ior = np.float64(data[i, j, IOR])
     if kind & FRESNEL_DIELECTRIC:
         f = dielectric_average(ior)
@@ -158,7 +155,7 @@ def _average_fresnel(lobes, i, j):
     return transmission
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _darkened(fss, e_average, missing):
     """Single plus multiple scattering of colour fss over what the scale 1 + missing would make of white."""
     if fss == 1.0:
@@ -167,24 +164,22 @@ def _darkened(fss, e_average, missing):
     return (1.0 + fms * missing) / (1.0 + missing)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def finish_microfacet(lobes, i, j, tables, wi, compensate, fss):
+@device
+def finish_microfacet(kind, data, i, j, tables, wi, compensate, fss):
     """Sampling weight and energy compensation of a complete GGX or Beckmann lobe.
 
     fss: rgb of the facets where the Fresnel term is in the weight; negative: ask the Fresnel term.
     -> what the lobe takes from the layers below (weight times reflected albedo).
     """
-    data = lobes.data
     cos_ni = dot(load3(data, i, j, NORMAL), wi)
-    reflected, transmitted = albedo(lobes, i, j, tables, cos_ni)
+    reflected, transmitted = albedo(kind, data, i, j, tables, cos_ni)
     weight = load3(data, i, j, WEIGHT)
     sample_weight = np.float64(data[i, j, SAMPLE])
-    kind = lobes.kind[i, j]
     if kind & (FRESNEL_DIELECTRIC | FRESNEL_SCHLICK | FRESNEL_F82):
         sample_weight *= mean(combine(1.0, reflected, 1.0, transmitted))
     gain = 1.0
     if compensate and not kind & BECKMANN:
-        roughness = _roughness(lobes, i, j)
+        roughness = _roughness(data, i, j)
         if kind & KIND_MASK == GLASS:
             ior = np.float64(data[i, j, IOR])
             side = 0
@@ -192,14 +187,14 @@ def finish_microfacet(lobes, i, j, tables, wi, compensate, fss):
                 ior = 1.0 / ior
                 side = 1
             z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
-            e = lookup3(tables.glass[side], z, cos_ni, roughness)
-            e_average = lookup2(tables.glass_average[side], z, roughness)
+            e = lookup3(tables.glass, side, z, cos_ni, roughness)
+            e_average = lookup2(tables.glass_average, side, z, roughness)
         else:
-            e = lookup2(tables.ggx, cos_ni, roughness)
-            e_average = lookup1(tables.ggx_average, roughness)
+            e = lookup2(tables.ggx, 0, cos_ni, roughness)
+            e_average = lookup2(tables.ggx_average, 0, 0.0, roughness)
         missing = (1.0 - e) / e
         if fss[0] < 0.0:
-            fss = _average_fresnel(lobes, i, j)
+            fss = _average_fresnel(kind, data, i, j)
         darkening = (
             _darkened(fss[0], e_average, missing),
             _darkened(fss[1], e_average, missing),
@@ -213,7 +208,7 @@ def finish_microfacet(lobes, i, j, tables, wi, compensate, fss):
     return multiply(weight, reflected)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def below(layer, weight):
     """Weight left for the layers below one that reflects `layer` of `weight`."""
     share = 0.0
@@ -223,7 +218,7 @@ def below(layer, weight):
     return scale(min(max(1.0 - share, 0.0), 1.0), weight)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def valid_normal(lobes, i, wi, normal):
     """The shading normal, raised toward the geometric one until the mirrored view is above the surface."""
     ng = row3(lobes.geometric_normal, i)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from pointmr_engine.shading.bsdf.jit import device
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def evaluate(a, b, x, y, z):
     """Density of direction (x, y, z) in the frame whose x is toward the viewer; also BSDF * cos per unit weight."""
     if z <= 0.0:
@@ -18,7 +18,7 @@ def evaluate(a, b, x, y, z):
     return z * ratio * ratio / math.pi
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def sample(a, b, u1, u2):
     """A local direction of that density."""
     radius = math.sqrt(u1)

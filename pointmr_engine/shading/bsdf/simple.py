@@ -9,6 +9,7 @@ from numba import njit
 
 from pointmr_engine.shading.bsdf import diffuse
 from pointmr_engine.shading.bsdf.fresnel import f0_of_ior, f82_term
+from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -64,12 +65,12 @@ _ROTATION = 5
 _ASK = (-1.0, -1.0, -1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _unit(x):
     return min(max(np.float64(x), 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _rgb(block, r, column):
     return (
         max(np.float64(block[r, column]), 0.0),
@@ -78,7 +79,7 @@ def _rgb(block, r, column):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _color(block, r, column):
     """The leaf's own colour; its weight where the colour was not given."""
     color = _rgb(block, r, column)
@@ -87,7 +88,7 @@ def _color(block, r, column):
     return color
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _place(view, normals, block, rows, k):
     """Row of the block, viewer's direction and shading normal of the k-th point."""
     i = rows[k]
@@ -129,7 +130,7 @@ def append_sheen(lobes, rows, view, tables, block, normals):
         push_sheen(lobes, i, tables, wi, normal, _rgb(block, r, 0), _unit(block[r, _ROUGHNESS]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _set_tangent(lobes, i, j, normal, axis, tangent, rotation):
     """Anisotropic lobe: the tangent turned about `axis`, then made orthogonal to the lobe's normal."""
     if rotation != 0.0:
@@ -171,7 +172,9 @@ def append_glossy(lobes, rows, view, tables, block, normals, tangents, reflectiv
         else:
             set_alpha(lobes, i, j, alpha_x, alpha_y)
             if multiple:
-                finish_microfacet(lobes, i, j, tables, wi, True, _color(block, r, _GLOSSY_COLOR))
+                finish_microfacet(
+                    lobes.kind[i, j], lobes.data, i, j, tables, wi, True, _color(block, r, _GLOSSY_COLOR)
+                )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -203,10 +206,10 @@ def append_metallic(lobes, rows, view, tables, block, normals, tangents, reflect
             lobes.data[i, j, TINT + c] = f82_term(f0, _unit(block[r, _METALLIC_EDGE + c]))
         _set_film(lobes, i, j, np.float64(block[r, _METALLIC_FILM]), np.float64(block[r, _METALLIC_FILM + 1]))
         set_alpha(lobes, i, j, alpha_x, alpha_y)
-        finish_microfacet(lobes, i, j, tables, wi, multiple, _ASK)
+        finish_microfacet(lobes.kind[i, j], lobes.data, i, j, tables, wi, multiple, _ASK)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _set_film(lobes, i, j, thickness, film_ior):
     if thickness > FILM_CUTOFF:
         lobes.kind[i, j] |= THIN_FILM
@@ -251,7 +254,7 @@ def append_glass(lobes, rows, view, tables, block, normals, reflective, refracti
             lobes, i, j, np.float64(block[r, _GLASS_FILM]), film_ior / ior if view.backfacing[i] else film_ior
         )
         set_alpha(lobes, i, j, roughness * roughness, roughness * roughness)
-        finish_microfacet(lobes, i, j, tables, wi, multiple, _ASK)
+        finish_microfacet(lobes.kind[i, j], lobes.data, i, j, tables, wi, multiple, _ASK)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,35 +8,52 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from pointmr_engine.shading.bsdf.fresnel import dielectric_polarized, f82
+from pointmr_engine.shading.bsdf.jit import device
 
 TABLE_RANGE = 60000.0 / (2.0 * math.pi)  # nanometres of optical path difference at the table's end
+_BOUNCES = 4  # terms of the series; higher ones are invisible
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _film_index(thickness, film_ior):
-    """The film's index, faded to none below a nanometre, where waves no longer see it."""
-    if thickness < 1.0:
+@device
+def film_reflectance(table, cos_i, thickness, film_ior, ior, metallic, f0, b):
+    """(reflectance rgb, refracted cosine below the film, negative) of a film `thickness` nanometres thick.
+
+    Below it lies a dielectric of index `ior`, or where `metallic` a metal given by rgb f0 and edge term b.
+    """
+    n = film_ior
+    if thickness < 1.0:  # waves do not see so thin a film: fade it out
         t = max(thickness, 0.0)
-        return 1.0 + (film_ior - 1.0) * t * t * (3.0 - 2.0 * t)
-    return film_ior
+        n = 1.0 + (film_ior - 1.0) * t * t * (3.0 - 2.0 * t)
+    s12, p12, cos_2, sign_s, sign_p = dielectric_polarized(cos_i, n)
+    if s12 == 1.0 and p12 == 1.0:
+        return (1.0, 1.0, 1.0), 0.0
+    s23, p23, cos_3, s_re, p_re = dielectric_polarized(-cos_2, ior / n)
+    s_im = 0.0
+    p_im = 0.0
+    if not metallic and s23 == 1.0 and p23 == 1.0:
+        return (1.0, 1.0, 1.0), 0.0
+    path = -2.0 * n * thickness * cos_2
+    red = green = 0.0
+    for channel in range(3):
+        if metallic:
+            s23, s_re, s_im, p_re, p_im = _metal_below(n, -cos_2, f0[channel], b[channel])
+            p23 = s23
+        total = 0.0
+        for polarization in range(2):
+            if polarization == 0:
+                total += _series(table, channel, s12, s23, path, -sign_s * s_re, -sign_s * s_im)
+            else:
+                total += _series(table, channel, p12, p23, path, -sign_p * p_re, -sign_p * p_im)
+        total = min(max(0.5 * total, 0.0), 1.0)
+        if channel == 0:
+            red = total
+        elif channel == 1:
+            green = total
+    return (red, green, total), cos_3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sensitivity(table, channel, path):
-    """Real and imaginary part of one channel's transform, interpolated."""
-    last = table.shape[1] - 1
-    x = min(max(path / TABLE_RANGE, 0.0), 1.0) * last
-    k = min(int(x), last - 1)
-    t = x - k
-    re = (1.0 - t) * table[channel, k] + t * table[channel, k + 1]
-    im = (1.0 - t) * table[channel + 3, k] + t * table[channel + 3, k + 1]
-    return re, im
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _series(table, channel, r12, r23, path, phase_re, phase_im):
     """One channel, one polarisation: reflectances above and below the film, phase shift as a unit phasor."""
     t121 = 1.0 - r12
@@ -47,70 +64,38 @@ def _series(table, channel, r12, r23, path, phase_re, phase_im):
     c = rs - t121
     re = phase_re
     im = phase_im
-    for m in range(1, 4):
+    last = table.shape[1] - 1
+    for m in range(1, _BOUNCES):
         c *= amplitude
-        s_re, s_im = _sensitivity(table, channel, m * path)
+        x = min(max(m * path / TABLE_RANGE, 0.0), 1.0) * last
+        k = min(int(x), last - 1)
+        t = x - k
+        s_re = (1.0 - t) * table[channel, k] + t * table[channel, k + 1]
+        s_im = (1.0 - t) * table[channel + 3, k] + t * table[channel + 3, k + 1]
         total += 2.0 * c * (re * s_re + im * s_im)
         re, im = re * phase_re - im * phase_im, re * phase_im + im * phase_re
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def dielectric_film(table, cos_i, thickness, film_ior, ior):
-    """Reflectance rgb of a film over a dielectric, and the refracted cosine below it (negative)."""
-    n = _film_index(thickness, film_ior)
-    s12, p12, cos_2, sign_s12, sign_p12 = dielectric_polarized(cos_i, n)
-    if s12 == 1.0 and p12 == 1.0:
-        return (1.0, 1.0, 1.0), 0.0
-    s23, p23, cos_3, sign_s23, sign_p23 = dielectric_polarized(-cos_2, ior / n)
-    if s23 == 1.0 and p23 == 1.0:
-        return (1.0, 1.0, 1.0), 0.0
-    path = -2.0 * n * thickness * cos_2
-    phase_s = -sign_s12 * sign_s23
-    phase_p = -sign_p12 * sign_p23
-    r = _series(table, 0, s12, s23, path, phase_s, 0.0) + _series(table, 0, p12, p23, path, phase_p, 0.0)
-    g = _series(table, 1, s12, s23, path, phase_s, 0.0) + _series(table, 1, p12, p23, path, phase_p, 0.0)
-    b = _series(table, 2, s12, s23, path, phase_s, 0.0) + _series(table, 2, p12, p23, path, phase_p, 0.0)
-    return (_half_clamped(r), _half_clamped(g), _half_clamped(b)), cos_3
+@device
+def _metal_below(n1, c, f0, b):
+    """Reflectance and phase shifts (unit phasors of s, then p) of one channel of a metal under a film of index n1.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _half_clamped(x):
-    return min(max(0.5 * x, 0.0), 1.0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def metallic_film(table, cos_i, thickness, film_ior, f0, b):
-    """Reflectance rgb of a film over a metal given by its f0 and edge term."""
-    n = _film_index(thickness, film_ior)
-    s12, p12, cos_2, sign_s12, sign_p12 = dielectric_polarized(cos_i, n)
-    if s12 == 1.0 and p12 == 1.0:
-        return 1.0, 1.0, 1.0
-    path = -2.0 * n * thickness * cos_2
-    return (
-        _metallic_channel(table, 0, n, s12, p12, cos_2, sign_s12, sign_p12, path, f0[0], b[0]),
-        _metallic_channel(table, 1, n, s12, p12, cos_2, sign_s12, sign_p12, path, f0[1], b[1]),
-        _metallic_channel(table, 2, n, s12, p12, cos_2, sign_s12, sign_p12, path, f0[2], b[2]),
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _metallic_channel(table, channel, n1, s12, p12, cos_2, sign_s12, sign_p12, path, f0, b):
-    """One channel: complex index from f0 and the reflectance at 82 degrees (Gulbrandsen), phases from the index."""
+    The metal's complex index follows from f0 and the reflectance at 82 degrees (Gulbrandsen); c: cosine in the film.
+    """
     r = min(f0, 0.999)
     edge = f82(1.0 / 7.0, f0, b)
     root = math.sqrt(max(r, 0.0))
     n_max = (1.0 + root) / (1.0 - root)
     n2 = n_max + ((1.0 - r) / (1.0 + r) - n_max) * edge
     k2 = math.sqrt(max((r * (n2 + 1.0) * (n2 + 1.0) - (n2 - 1.0) * (n2 - 1.0)) / (1.0 - r), 0.0))
-    c = -cos_2
-    # amplitudes as F82 of the index relative to the film; Fresnel's equations would lose the edge tint
+    # the amplitude is F82 of the index relative to the film; Fresnel's equations would lose the edge tint
     n = n2 / n1
     kk = (k2 / n1) * (k2 / n1)
     below = ((n - 1.0) * (n - 1.0) + kk) / ((n + 1.0) * (n + 1.0) + kk)
     f = 6.0 / 7.0
     f5 = f * f * f * f * f
-    r23 = f82(c, below, (7.0 / (f5 * f)) * (below + (1.0 - below) * f5 - edge))
+    reflectance = f82(c, below, (7.0 / (f5 * f)) * (below + (1.0 - below) * f5 - edge))
     # phase shifts (Born and Wolf 14.4.1)
     two_nk = 2.0 * n2 * k2
     difference = n2 * n2 - k2 * k2
@@ -123,13 +108,12 @@ def _metallic_channel(table, channel, n1, s12, p12, cos_2, sign_s12, sign_p12, p
     s_re, s_im = _unit(n1 * n1 * c * c - u2 - v2, -2.0 * n1 * c * v)
     q = (n2 * n2 + k2 * k2) * c
     p_re, p_im = _unit(q * q - n1 * n1 * (u2 + v2), 2.0 * n1 * c * (two_nk * u - difference * v))
-    s = _series(table, channel, s12, r23, path, -sign_s12 * s_re, -sign_s12 * s_im)
-    p = _series(table, channel, p12, r23, path, -sign_p12 * p_re, -sign_p12 * p_im)
-    return _half_clamped(s + p)
+    return reflectance, s_re, s_im, p_re, p_im
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def _unit(re, im):
+    """A complex number's direction; 1 for zero."""
     size = math.sqrt(re * re + im * im)
     if size == 0.0:
         return 1.0, 0.0

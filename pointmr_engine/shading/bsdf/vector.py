@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from pointmr_engine.shading.bsdf.jit import device
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def row3(array, i):
     """Row i of an (n, 3) array as float64."""
     return np.float64(array[i, 0]), np.float64(array[i, 1]), np.float64(array[i, 2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def load3(data, i, j, column):
     """Three columns of lobe j of point i as float64."""
     return (
@@ -24,7 +25,7 @@ def load3(data, i, j, column):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def store3(data, i, j, column, v):
     """Write three columns of lobe j of point i."""
     data[i, j, column] = v[0]
@@ -32,43 +33,43 @@ def store3(data, i, j, column, v):
     data[i, j, column + 2] = v[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def dot(a, b):
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def cross(a, b):
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def scale(s, a):
     """s * a."""
     return s * a[0], s * a[1], s * a[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def combine(s, a, t, b):
     """s * a + t * b."""
     return s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def multiply(a, b):
     """Componentwise product."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def mean(a):
     """Mean of the components."""
     return (a[0] + a[1] + a[2]) / 3.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def normalized(a, fallback):
     """a to unit length; fallback where a has none or is not finite."""
     length = math.sqrt(dot(a, a))
@@ -77,7 +78,7 @@ def normalized(a, fallback):
     return fallback
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def to_world(x, y, z, tangent, bitangent, normal):
     """Local coordinates to world."""
     return (
@@ -87,7 +88,7 @@ def to_world(x, y, z, tangent, bitangent, normal):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def basis(normal):
     """Two tangents to a unit normal, without branches on the direction (Duff et al. 2017)."""
     sign = math.copysign(1.0, normal[2])
@@ -99,7 +100,7 @@ def basis(normal):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def tangent_towards(normal, direction):
     """Unit tangent to `normal` in the plane of `direction`; any tangent where they are parallel."""
     side = cross(normal, direction)
@@ -110,7 +111,7 @@ def tangent_towards(normal, direction):
     return cross(side, normal)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def rotate_about(v, axis, angle):
     """v turned about a unit axis (Rodrigues)."""
     c = math.cos(angle)
@@ -124,7 +125,7 @@ def rotate_about(v, axis, angle):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@device
 def cosine_hemisphere(normal, u1, u2):
     """A direction about `normal` with density cos / pi."""
     radius = math.sqrt(u1)
