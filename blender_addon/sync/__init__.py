@@ -13,8 +13,8 @@ def export(depsgraph, *, report=None, cancel=None, progress=None, view_layer=Non
     report(level, message) with level "INFO", "WARNING" or "ERROR" receives each message once, naming the object;
     cancel() -> bool is asked at least every 0.1 s where anything is read; progress(fraction 0..1, text).
     view_layer: None takes the depsgraph's. camera: an Object to render from, None takes the scene's.
-    What cannot be read is left out with a warning; a missing or unsupported camera leaves `scene.camera` None with an error.
-    Raises Cancelled.
+    What cannot be read is left out with a warning; a missing or unsupported camera leaves `scene.camera` None, with an
+    error. Raises Cancelled.
     """
     # The module is not named export: importing it would put it in this function's place.
     from .scene import export_scene

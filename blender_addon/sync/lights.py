@@ -1,0 +1,106 @@
+"""Blender's light objects to lamps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointmr_engine.scene.group import VISIBLE
+from pointmr_engine.scene.light import Light
+
+MAX_LAMPS = 10_000  # of instanced lamps; more are left out, with a warning
+KINDS = {"POINT": "POINT", "SUN": "SUN", "SPOT": "SPOT", "AREA": "AREA"}
+
+
+def lights(lamp_tree, root, material_sync, watch) -> list[Light]:
+    """All lamps of the scene, instanced ones included (up to MAX_LAMPS), in world space."""
+    found, total = lamp_tree.expand(root, MAX_LAMPS)
+    if total > len(found):
+        watch.warn(f"{total} lamps, counting instances: only the first {len(found)} are rendered")
+    read: dict[int, Light | None] = {}
+    result = []
+    for ob, world, seen in found:
+        watch.poll()
+        key = ob.as_pointer()
+        if key not in read:
+            read[key] = lamp(ob, material_sync, watch)
+        template = read[key]
+        if template is not None:
+            result.append(placed(template, world, seen & VISIBLE))
+    return result
+
+
+def placed(template: Light, world: np.ndarray, visibility: int) -> Light:
+    """A lamp at world_from_light (4, 4); scale acts on area lights only, by their sides."""
+    from dataclasses import replace
+
+    world = np.array(world, np.float64)
+    size = np.sqrt((world[:3, :3] ** 2).sum(0))
+    world[:3, :3] /= np.where(size > 0, size, 1)
+    sides = {}
+    if template.kind == "AREA":
+        sides = {"size_x": template.size_x * float(size[0]), "size_y": template.size_y * float(size[1])}
+        square = abs(sides["size_x"] - sides["size_y"]) <= 1e-6 * max(sides["size_x"], sides["size_y"])
+        if not square:
+            sides["shape"] = {"SQUARE": "RECTANGLE", "DISK": "ELLIPSE"}.get(template.shape, template.shape)
+    return replace(template, world_from_light=world, visibility=template.visibility & visibility, **sides)
+
+
+def lamp(ob, material_sync, watch) -> Light | None:
+    """A light object's lamp at the origin; None for what gives no light."""
+    data = ob.data
+    own = getattr(data, "cycles", None)
+    if data.type == "AREA" and getattr(own, "is_portal", False):
+        return None  # portals guide sampling, they do not shine
+    if data.type not in KINDS:
+        watch.warn(f"light '{ob.name}': type {data.type.lower()} is not supported")
+        return None
+    color = np.array(data.color[:3], np.float64)
+    if getattr(data, "use_temperature", False):
+        color *= np.array(data.temperature_color[:3])
+    color *= node_tint(data, ob.name, material_sync, watch)
+    light = Light(
+        KINDS[data.type],
+        color=tuple(float(c) for c in color),
+        power=float(data.energy),
+        exposure=float(getattr(data, "exposure", 0.0)),
+        normalize=bool(getattr(data, "normalize", True)),
+        soft_falloff=bool(getattr(data, "use_soft_falloff", True)),
+        cast_shadow=bool(getattr(data, "use_shadow", True)),
+        use_mis=bool(getattr(own, "use_multiple_importance_sampling", True)),
+        name=ob.name,
+    )
+    if data.type in {"POINT", "SPOT"}:
+        light.radius = float(data.shadow_soft_size)
+    if data.type == "SUN":
+        light.angle = float(data.angle)
+    if data.type == "SPOT":
+        light.spot_angle, light.spot_blend = float(data.spot_size), float(data.spot_blend)
+        if data.use_square:
+            watch.warn(f"light '{ob.name}': square cones are only shown in the viewport, as in Cycles")
+    if data.type == "AREA":
+        light.shape, light.spread = data.shape, float(data.spread)
+        light.size_x = float(data.size)
+        light.size_y = float(data.size_y if data.shape in {"RECTANGLE", "ELLIPSE"} else data.size)
+    return light
+
+
+def node_tint(data, owner: str, material_sync, watch) -> np.ndarray:
+    """RGB factor that the light's node tree gives to its emission; 1 for trees that do not come down to a constant."""
+    graph = material_sync.light_graph(data)
+    if graph is None:
+        return np.ones(3)
+    constant = constant_emission(graph)
+    if constant is None:
+        watch.warn(f"light '{owner}': its node tree is not constant; its colour and power are used instead")
+        return np.ones(3)
+    return constant
+
+
+def constant_emission(graph) -> np.ndarray | None:
+    """The constant RGB radiance of an emission graph, None where it varies. An empty graph emits nothing."""
+    if graph.surface is None:
+        return np.zeros(3)
+    from pointmr_engine.shading.program import compile_graph
+
+    value = compile_graph(graph).constant_emission
+    return None if value is None else np.asarray(value, np.float64)[:3]

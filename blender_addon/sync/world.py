@@ -1,0 +1,49 @@
+"""Blender's world to the engine's."""
+
+from __future__ import annotations
+
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, VISIBLE, VOLUME_SCATTER
+from pointmr_engine.scene.world import World, uniform_world
+
+RAYS = (
+    ("camera", CAMERA),
+    ("diffuse", DIFFUSE),
+    ("glossy", GLOSSY),
+    ("transmission", TRANSMISSION),
+    ("scatter", VOLUME_SCATTER),
+)
+SAMPLING = {"AUTOMATIC", "NONE", "MANUAL"}
+
+
+def world(scene, view_layer, material_sync, watch) -> World:
+    """The scene's world (or the view layer's override); black where there is none."""
+    source = getattr(view_layer, "world_override", None) or scene.world
+    if source is None:
+        return World()
+    if source.node_tree is not None and (source.use_nodes if uses_nodes_flag() else True):
+        result = World(material_sync.world_graph(source))
+        if any(
+            n.bl_idname == "ShaderNodeOutputWorld" and n.inputs["Volume"].is_linked
+            for n in source.node_tree.nodes
+        ):
+            watch.warn(f"world '{source.name}': its volume is not supported; left out")
+    else:
+        result = uniform_world(tuple(source.color))
+    result.name = source.name
+    seen = getattr(source, "cycles_visibility", None)
+    if seen is not None:
+        for name, bit in RAYS:
+            if not getattr(seen, name, True):
+                result.visibility &= ~bit & VISIBLE
+    own = getattr(source, "cycles", None)
+    if own is not None:
+        result.sampling = own.sampling_method if own.sampling_method in SAMPLING else "AUTOMATIC"
+        result.map_resolution = int(own.sample_map_resolution)
+    return result
+
+
+def uses_nodes_flag() -> bool:
+    """Whether worlds may switch their nodes off: from 5.0 on they always use them."""
+    import bpy
+
+    return bpy.app.version < (5, 0, 0)
