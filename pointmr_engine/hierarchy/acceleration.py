@@ -21,7 +21,9 @@ class WalkArrays(NamedTuple):
 
     boxes: np.ndarray  # (nodes, 48) float32: lower x, y, z, upper x, y, z of eight children
     children: np.ndarray  # (nodes, 8) int32
-    blocks: np.ndarray  # (leaves of shapes, 72) float32: three vertices' x, y, z of eight triangles, about the centre
+    blocks: (
+        np.ndarray
+    )  # (leaves of shapes, 72) float32: three vertices' x, y, z of eight triangles, about the centre
     block_triangles: np.ndarray  # (leaves of shapes, 8) int32, scene-wide
     item_record: np.ndarray  # (items of groups,) int32: an instance record, or ~part
     item_batch: np.ndarray  # (items of groups,) int32
@@ -74,7 +76,9 @@ class _Pool:
             self.reserve(nodes)
             ranges = np.empty((leaf_room, 2), np.int32)
             boxes, children = self.boxes, self.children
-            made, n_leaves, depth = bvh_build.build_wide(prims, leaf_size, self.used, 0, boxes, children, ranges)
+            made, n_leaves, depth = bvh_build.build_wide(
+                prims, leaf_size, self.used, 0, boxes, children, ranges
+            )
             if made >= 0:
                 break
             nodes, leaf_room = nodes * 2, n
@@ -118,7 +122,9 @@ def build_acceleration(geometry: Geometry, progress: Callable[[float], None] | N
         if len(prims):
             root, ranges, depth = pool.build(prims, LEAF_TRIANGLES)
             shift_leaves(pool.children, root, pool.used, n_blocks)
-            data = leaves.triangle_blocks(prims, ranges, shape.positions, shape.triangles, shape.first_triangle)
+            data = leaves.triangle_blocks(
+                prims, ranges, shape.positions, shape.triangles, shape.first_triangle
+            )
             blocks.append(data[0])
             block_triangles.append(data[1])
             n_blocks += len(ranges)
@@ -209,7 +215,9 @@ def set_opaque(acceleration: Acceleration, opaque: np.ndarray) -> Acceleration:
     parts = acceleration.geometry.tables
     opaque = np.asarray(opaque, np.bool_)
     if opaque.shape != (len(acceleration.geometry.materials),):
-        raise ValueError(f"opaque has shape {opaque.shape}, expected ({len(acceleration.geometry.materials)},)")
+        raise ValueError(
+            f"opaque has shape {opaque.shape}, expected ({len(acceleration.geometry.materials)},)"
+        )
     slots = opaque[parts.slot_material]
     part = np.full(len(parts.shape), -1, np.int8)
     for p, (first, count) in enumerate(zip(parts.first_slot, parts.slots, strict=True)):

@@ -143,7 +143,9 @@ def build_wide(prims, leaf_size, first_node, first_leaf, boxes, children, leaves
     bounds = np.empty((8, 8), np.float32)
     begin = np.empty(8, np.int64)
     end = np.empty(8, np.int64)
-    work = np.empty((1024, 4), np.int64)  # node, start, stop, depth: seven per level, and the depth is bounded
+    work = np.empty(
+        (1024, 4), np.int64
+    )  # node, start, stop, depth: seven per level, and the depth is bounded
     work[0] = (first_node, 0, len(prims), 1)
     n_work = 1
     n_nodes, n_leaves = first_node + 1, first_leaf

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -43,6 +45,7 @@ class BatchTables(NamedTuple):
     """
 
     first_record: np.ndarray  # (B + 1,) int64
+    has_attributes: np.ndarray  # (B,) bool: the batch has attributes for instance_attribute needs
     transforms: np.ndarray  # (B,) uint64 address of (N, 3, 4) float64
     group: np.ndarray  # (B, 2) int64 first, stride into `group_values`; first < 0: all are `group_first`
     group_first: np.ndarray  # (B,) int32: row of `batch_groups` with the batch's group 0
@@ -67,7 +70,9 @@ class Shape:
     center: np.ndarray  # (3,) float64
     radius: float
     first_triangle: int  # scene-wide index of triangle 0
-    lower: np.ndarray  # (3,) float64 bounds of the finite triangles, in the mesh's space; inf where there are none
+    lower: (
+        np.ndarray
+    )  # (3,) float64 bounds of the finite triangles, in the mesh's space; inf where there are none
     upper: np.ndarray  # (3,) float64
 
 
@@ -93,15 +98,20 @@ class Geometry:
     instanced_triangles: int = 0
     depth: int = 0
     kept: list[np.ndarray] = field(default_factory=list)  # arrays that the tables borrow
+    layers: dict = field(default_factory=dict)  # attribute layers made so far (hierarchy.layers)
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
 
-def compile_geometry(scene: Scene, needs: frozenset[str] | None = None) -> Geometry:
-    """The unique parts of `scene`. Attribute layers that `needs` names (as surface.gather does) are prepared at once.
+def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
+    """The unique parts of `scene`. Of attribute layers, those that `needs` names (as surface.gather has it) are prepared
+    at once; others when something first asks for them.
 
     Raises SceneError for a group that contains itself, a malformed mesh or a malformed batch of instances; what can be
     tolerated is skipped and named in `Geometry.warnings`. Mesh and instance arrays are borrowed where their dtype allows
     it: do not change them while the Geometry is in use.
     """
+    from pointmr_engine.hierarchy import layers  # which needs this module
+
     geometry = Geometry(groups=unique_groups(scene.root))
     part_of: dict[int, int] = {}
     batch_of: dict[int, int] = {}
@@ -126,6 +136,10 @@ def compile_geometry(scene: Scene, needs: frozenset[str] | None = None) -> Geome
     geometry.instances = _batch_tables(geometry)
     geometry.unique_triangles = sum(len(s.triangles) for s in geometry.shapes)
     _, geometry.instanced_triangles, geometry.depth = count_triangles(scene.root)
+    for need in needs or ():
+        kind, _, name = need.partition(":")
+        if kind in ("uv", "tangent", "attribute"):
+            layers.layer(geometry, kind, name)
     return geometry
 
 
@@ -172,7 +186,9 @@ def _compile_shape(mesh: Mesh, first_triangle: int) -> Shape:
     lower, upper = kept.min(0).astype(np.float64), kept.max(0).astype(np.float64)
     center, half = (lower + upper) / 2, float((upper - lower).max()) / 2
     if positions.dtype == np.float32 and np.abs(center).max() <= half:
-        center = np.zeros(3)  # near enough to its origin that shifting would gain nothing: use the array as it is
+        center = np.zeros(
+            3
+        )  # near enough to its origin that shifting would gain nothing: use the array as it is
         stored = np.ascontiguousarray(positions)
     else:
         stored = np.ascontiguousarray(positions - center, np.float32)
@@ -206,7 +222,9 @@ def _part_tables(geometry: Geometry) -> PartTables:
         rows["first_slot"].append(len(rows["slot_material"]))
         materials = mesh.materials or (None,)
         rows["slots"].append(len(materials))
-        rows["material_index"].append(_borrow(geometry, mesh.material_index, np.int32) if len(materials) > 1 else 0)
+        rows["material_index"].append(
+            _borrow(geometry, mesh.material_index, np.int32) if len(materials) > 1 else 0
+        )
         for material in materials:
             if id(material) not in material_of:
                 material_of[id(material)] = len(geometry.materials)
@@ -267,6 +285,7 @@ def _batch_tables(geometry: Geometry) -> BatchTables:
     }
     return BatchTables(
         first_record=np.cumsum(lengths),
+        has_attributes=np.array([bool(b.attributes) for b in batches], np.bool_),
         transforms=np.array([_borrow(geometry, b.transforms, np.float64) for b in batches], np.uint64),
         group_first=np.array(group_first, np.int32),
         batch_groups=np.array(group_rows, np.int32),

@@ -187,7 +187,9 @@ class GroupBuilder:
         for b in batches:
             address, size, index, groups, *_ = self._placed(b)
             visibility = geometry.batches[b].visibility
-            visibility = np.zeros(0, np.uint8) if visibility is None else np.ascontiguousarray(visibility, np.uint8)
+            visibility = (
+                np.zeros(0, np.uint8) if visibility is None else np.ascontiguousarray(visibility, np.uint8)
+            )
             n = _instance_boxes(
                 address, size, index, groups, self.lower, self.upper, self.center[g], slack, visibility,
                 n, prims, numbers, records, item_batch, tables.first_record[b], b,
@@ -204,7 +206,11 @@ class GroupBuilder:
         first = tables.group_first[b]
         groups = tables.batch_groups[first : first + len(batch.groups)]
         where, step = tables.group[b]
-        index = tables.group_values[:0] if where < 0 else tables.group_values[where : where + (len(batch) if step else 1)]
+        index = (
+            tables.group_values[:0]
+            if where < 0
+            else tables.group_values[where : where + (len(batch) if step else 1)]
+        )
         return tables.transforms[b], len(batch), index, groups, self.lower, self.upper
 
 

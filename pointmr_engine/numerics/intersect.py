@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-PAD = 1e-6  # of the largest coordinate: bounds every rounding of the box and triangle tests (16 units of 2^-24)
+PAD = (
+    1e-6  # of the largest coordinate: bounds every rounding of the box and triangle tests (16 units of 2^-24)
+)
 FLAT = 1e-18  # stands for a direction component of zero, so that no infinity times zero can appear
 
 
@@ -144,4 +146,8 @@ def point_distance(blocks, block, lane, u, v, ox, oy, oz, dx, dy, dz):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _vertex(blocks, block, lane, vertex):
     at = vertex * 24 + lane
-    return np.float64(blocks[block, at]), np.float64(blocks[block, at + 8]), np.float64(blocks[block, at + 16])
+    return (
+        np.float64(blocks[block, at]),
+        np.float64(blocks[block, at + 8]),
+        np.float64(blocks[block, at + 16]),
+    )

@@ -154,12 +154,11 @@ def triangle_test(typingctx, blocks, block, axes, origin, shear, t_min, t_max, r
         zero = ir.Constant(_vector, [0.0] * WIDTH)
         least = _smaller(builder, edge[0], _smaller(builder, edge[1], edge[2]))
         most = _larger(builder, edge[0], _larger(builder, edge[1], edge[2]))
-        inside = builder.or_(
-            builder.fcmp_ordered(">=", least, zero), builder.fcmp_ordered("<=", most, zero)
-        )
+        inside = builder.or_(builder.fcmp_ordered(">=", least, zero), builder.fcmp_ordered("<=", most, zero))
         det = builder.fadd(builder.fadd(edge[0], edge[1]), edge[2])
         depth = builder.fadd(
-            builder.fadd(builder.fmul(edge[0], z[0]), builder.fmul(edge[1], z[1])), builder.fmul(edge[2], z[2])
+            builder.fadd(builder.fmul(edge[0], z[0]), builder.fmul(edge[1], z[1])),
+            builder.fmul(edge[2], z[2]),
         )
         inverse = builder.fdiv(ir.Constant(_vector, [1.0] * WIDTH), det)
         t = builder.fmul(depth, inverse)

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.layers import interpolate, layer
+from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
+from pointmr_engine.numerics.transforms import cofactors
 from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.shading.points import SurfacePoints
+
+OFFSET = (
+    2.0**-36
+)  # of the position's and the part's size: far above the rounding of origins, far below any detail
+GRAZING = 0.05  # cosine below which footprints on a surface grow no further
 
 
 class Frames(NamedTuple):
@@ -19,7 +29,9 @@ class Frames(NamedTuple):
     smooth_normal: np.ndarray  # (N, 3) float32 unit, world, interpolated; the geometric one on flat meshes
     backfacing: np.ndarray  # (N,) bool: the ray came from behind the geometric normal
     material: np.ndarray  # (N,) int32 index into geometry.materials
-    offset: np.ndarray  # (N,) float64, metres: t_min of a ray that starts at `position` (with skip_triangle, skip_path)
+    offset: (
+        np.ndarray
+    )  # (N,) float64, metres: t_min of a ray that starts at `position` (with skip_triangle, skip_path)
 
 
 class RayState(NamedTuple):
@@ -31,10 +43,13 @@ class RayState(NamedTuple):
     glossy_depth: np.ndarray  # (N,) int32
     transmission_depth: np.ndarray  # (N,) int32
     transparent_depth: np.ndarray  # (N,) int32
-    length: np.ndarray  # (N,) float32, metres travelled before the origin that count (through transparent surfaces)
+    length: (
+        np.ndarray
+    )  # (N,) float32, metres travelled before the origin that count (through transparent surfaces)
     width: np.ndarray  # (N,) float32, width of the ray's footprint at its origin, metres
     spread: np.ndarray  # (N,) float32, growth of that width per metre
     window: np.ndarray  # (N, 2) float32, position in the image, 0..1
+    camera_from_world: np.ndarray  # (3, 4) float64
 
 
 def allocate_frames(n: int) -> Frames:
@@ -49,7 +64,7 @@ def allocate_frames(n: int) -> Frames:
     )
 
 
-def allocate_ray_state(n: int) -> RayState:
+def allocate_ray_state(n: int, camera_from_world: np.ndarray | None = None) -> RayState:
     """Room for n ray states: camera rays (kind RAY_CAMERA) of no width, no bounces yet."""
     return RayState(
         np.ones(n, np.uint8),
@@ -62,12 +77,195 @@ def allocate_ray_state(n: int) -> RayState:
         np.zeros(n, np.float32),
         np.zeros(n, np.float32),
         np.zeros((n, 2), np.float32),
+        np.eye(4)[:3] if camera_from_world is None else np.asarray(camera_from_world, np.float64)[:3],
     )
 
 
-def frames(geometry: Geometry, rays: Rays, hits: Hits, out: Frames, start: int = 0, stop: int | None = None) -> None:
+class Samples(NamedTuple):
+    """N points on parts, from hits or chosen freely."""
+
+    part: np.ndarray  # (N,) int32
+    triangle: np.ndarray  # (N,) int32 scene-wide
+    u: np.ndarray  # (N,) float64: differences of moved points are smaller than single precision resolves
+    v: np.ndarray  # (N,) float64
+    world_from_part: np.ndarray  # (N, 3, 4) float64
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normalized(x, y, z, fallback, out):
+    length = np.sqrt(x * x + y * y + z * z)
+    if length > 0.0 and length < np.inf:
+        out[0], out[1], out[2] = x / length, y / length, z / length
+    else:
+        out[0], out[1], out[2] = fallback[0], fallback[1], fallback[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _frames(tables, samples, outgoing, out):
+    """Frames of all samples; outgoing (N, 3) points away from the viewer, or (0, 3): seen from the front."""
+    corner = np.empty((3, 3))
+    local = np.empty(3)
+    normals_to_world = np.empty((3, 3))
+    up = np.array((0.0, 0.0, 1.0))
+    for n in range(len(samples.part)):
+        triangle, p = np.int64(samples.triangle[n]), samples.part[n]
+        if triangle < 0:
+            out.material[n] = -1
+            continue
+        m = samples.world_from_part[n]
+        t = triangle - tables.first_triangle[p]
+        corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+        u, v = samples.u[n], samples.v[n]
+        w = 1.0 - u - v
+        for k in range(3):
+            for axis in range(3):
+                corner[k, axis] = positions[3 * np.int64(corners[3 * t + k]) + axis]
+        for axis in range(3):
+            local[axis] = (
+                corner[0, axis]
+                + u * (corner[1, axis] - corner[0, axis])
+                + v * (corner[2, axis] - corner[0, axis])
+                + tables.center[p, axis]
+            )
+        size, scale = 0.0, 0.0
+        for r in range(3):
+            x = m[r, 0] * local[0] + m[r, 1] * local[1] + m[r, 2] * local[2] + m[r, 3]
+            out.position[n, r] = x
+            size = max(size, abs(x))
+            scale = max(scale, abs(m[r, 0]) + abs(m[r, 1]) + abs(m[r, 2]))
+        reach = (
+            max(abs(tables.center[p, 0]), abs(tables.center[p, 1]), abs(tables.center[p, 2]))
+            + tables.radius[p]
+        )
+        out.offset[n] = OFFSET * (size + scale * reach)
+        cofactors(m, normals_to_world)
+        q = normals_to_world
+        ax, ay, az = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
+        bx, by, bz = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1], corner[2, 2] - corner[0, 2]
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        geometric = out.geometric_normal[n]
+        _normalized(
+            q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
+            q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
+            q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
+            up,
+            geometric,
+        )
+        if tables.normals[p] == 0:
+            out.smooth_normal[n] = geometric
+        else:
+            values = pointer_f32(tables.normals[p])
+            a, b, c = 3 * t, 3 * t + 1, 3 * t + 2
+            if not tables.normals_per_corner[p]:
+                a, b, c = np.int64(corners[a]), np.int64(corners[b]), np.int64(corners[c])
+            x = w * values[3 * a] + u * values[3 * b] + v * values[3 * c]
+            y = w * values[3 * a + 1] + u * values[3 * b + 1] + v * values[3 * c + 1]
+            z = w * values[3 * a + 2] + u * values[3 * b + 2] + v * values[3 * c + 2]
+            _normalized(
+                q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
+                q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
+                q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
+                geometric,
+                out.smooth_normal[n],
+            )
+        if len(outgoing):
+            d = outgoing[n]
+            out.backfacing[n] = geometric[0] * d[0] + geometric[1] * d[1] + geometric[2] * d[2] > 0.0
+        else:
+            out.backfacing[n] = False
+        slot = np.int64(0)
+        if tables.material_index[p] != 0:
+            slot = np.int64(pointer_i32(tables.material_index[p])[t])
+            slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
+        out.material[n] = tables.slot_material[tables.first_slot[p] + slot]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _local_points(tables, samples, local, generated):
+    """Positions in the part's space and generated coordinates (0..1 over the mesh's box), (n, 3) or (0, 3) float32."""
+    for n in range(len(samples.part)):
+        p = samples.part[n]
+        t = np.int64(samples.triangle[n]) - tables.first_triangle[p]
+        corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+        u, v = samples.u[n], samples.v[n]
+        a, b, c = (
+            3 * np.int64(corners[3 * t]),
+            3 * np.int64(corners[3 * t + 1]),
+            3 * np.int64(corners[3 * t + 2]),
+        )
+        for k in range(3):
+            x = (
+                (1.0 - u - v) * positions[a + k]
+                + u * positions[b + k]
+                + v * positions[c + k]
+                + tables.center[p, k]
+            )
+            if len(local):
+                local[n, k] = x
+            if len(generated):
+                lower, upper = tables.generated[p, 0, k], tables.generated[p, 1, k]
+                generated[n, k] = (x - lower) / (upper - lower) if upper != lower else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _edges(tables, samples, out):
+    """World edges from corner 0 of each sample's triangle, out (n, 2, 3) float64."""
+    for n in range(len(samples.part)):
+        p, m = samples.part[n], samples.world_from_part[n]
+        t = np.int64(samples.triangle[n]) - tables.first_triangle[p]
+        corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+        a = 3 * np.int64(corners[3 * t])
+        for k in range(2):
+            b = 3 * np.int64(corners[3 * t + 1 + k])
+            x = np.float64(positions[b]) - positions[a]
+            y = np.float64(positions[b + 1]) - positions[a + 1]
+            z = np.float64(positions[b + 2]) - positions[a + 2]
+            for r in range(3):
+                out[n, k, r] = m[r, 0] * x + m[r, 1] * y + m[r, 2] * z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tangents_to_world(samples, tangents):
+    """Turn (n, 4) tangents in part space into unit world tangents, in place; mirroring flips the sign."""
+    q = np.empty((3, 3))
+    zero = np.zeros(3)
+    for n in range(len(samples.part)):
+        m = samples.world_from_part[n]
+        cofactors(m, q)
+        x, y, z = np.float64(tangents[n, 0]), np.float64(tangents[n, 1]), np.float64(tangents[n, 2])
+        _normalized(
+            q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
+            q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
+            q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
+            zero,
+            tangents[n],
+        )
+        sign = np.float32(-1) if tangents[n, 3] < np.float32(0) else np.float32(1)
+        minor = (
+            m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
+        )  # cofactors() negates all of q for a mirroring transform
+        mirrored = minor * q[0, 0] < 0.0
+        if minor == 0.0:
+            minor = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
+            mirrored = minor * q[0, 1] < 0.0
+            if minor == 0.0:
+                mirrored = (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]) * q[0, 2] < 0.0
+        tangents[n, 3] = -sign if mirrored else sign
+
+
+def frames(
+    geometry: Geometry, rays: Rays, hits: Hits, out: Frames, start: int = 0, stop: int | None = None
+) -> None:
     """Fill out[start:stop] for hits[start:stop]. Releases the GIL."""
-    raise NotImplementedError
+    chosen = slice(start, len(hits.triangle) if stop is None else stop)
+    _frames(
+        geometry.tables, _samples(hits, chosen), rays.direction[chosen], Frames(*(c[chosen] for c in out))
+    )
+
+
+def _samples(hits: Hits, chosen) -> Samples:
+    u, v = hits.u[chosen].astype(np.float64), hits.v[chosen].astype(np.float64)
+    return Samples(hits.part[chosen], hits.triangle[chosen], u, v, hits.world_from_part[chosen])
 
 
 def gather(
@@ -78,17 +276,56 @@ def gather(
     index: np.ndarray,
     needs: frozenset[str],
     ray_state: RayState | None = None,
-    material: int = 0,
+    material: int | None = None,
 ) -> SurfacePoints:
     """The surface points of hits[index], with the fields that `needs` names and no others.
 
-    index (n,) integer; result row k belongs to hit index[k]. needs: field names of SurfacePoints ("position", "normal",
-    "generated", "ray_length", ...), and "uv:NAME", "uv_footprint:NAME", "tangent:NAME" ("" is the mesh's active layer),
-    "attribute:NAME", "instance_attribute:NAME". `ray_state` may be left out when nothing of it is needed.
-    `SurfacePoints.material_index` is set to `material`'s pass index (index into geometry.materials).
+    index (n,) integer, of hits (triangle >= 0); row k of the result belongs to hits[index[k]]. needs: field names of
+    SurfacePoints ("position", "normal", "generated", "ray_length", ...), and "uv:NAME", "uv_footprint:NAME",
+    "tangent:NAME" ("" is the mesh's active layer), "attribute:NAME", "instance_attribute:NAME". `ray_state` may be left
+    out when nothing of it is needed. `SurfacePoints.material_index` becomes the pass index of geometry.materials[material].
     Raises KeyError for a need that is not known.
     """
-    raise NotImplementedError
+    samples = _samples(hits, index)
+    chosen = Frames(*(column[index] for column in frames))
+    direction = rays.direction[index]
+    points = SurfacePoints(count=len(samples.part))
+    if material is not None and geometry.materials[material] is not None:
+        points.material_index = geometry.materials[material].pass_index
+    width = None
+    if ray_state is not None:
+        width = ray_state.width[index] + ray_state.spread[index] * hits.t[index].astype(np.float32)
+    _fill_surface(geometry, points, samples, chosen, needs, direction, width)
+    for need in needs:
+        if need in _RAY_FIELDS:
+            setattr(points, need, getattr(ray_state, _RAY_FIELDS[need])[index])
+        elif need == "ray_length":
+            points.ray_length = ray_state.length[index] + hits.t[index].astype(np.float32)
+        elif need == "camera_from_world":
+            points.camera_from_world = ray_state.camera_from_world
+        elif need == "object_index":
+            points.object_index = hits.object_index[index]
+        elif need == "object_color":
+            points.object_color = hits.color[index]
+        elif need == "object_random":
+            points.object_random = (hits.seed[index] * (1 / 2**32)).astype(np.float32)
+        elif need.startswith("instance_attribute:"):
+            name = need.partition(":")[2]
+            points.instance_attributes[name] = _instance_attribute(geometry, hits.instance[index], name)
+    return points
+
+
+_RAY_FIELDS = {
+    "ray_kind": "kind",
+    "ray_depth": "depth",
+    "diffuse_depth": "diffuse_depth",
+    "glossy_depth": "glossy_depth",
+    "transmission_depth": "transmission_depth",
+    "transparent_depth": "transparent_depth",
+    "window": "window",
+}
+_OTHER_FIELDS = {"ray_length", "camera_from_world", "object_index", "object_color", "object_random"}
+_LAYERS = ("uv", "uv_footprint", "tangent", "attribute", "instance_attribute")
 
 
 def points_at(
@@ -105,5 +342,176 @@ def points_at(
 
     part (n,) int32, triangle (n,) int32 scene-wide, u, v (n,) float32, world_from_part (n, 3, 4) float64.
     viewer (n, 3) float64: the points are seen from there; None: seen from along the normal (never backfacing).
+    What only a ray or an instance knows (ray kind and depths, object colour, ...) is filled with neutral values.
     """
-    raise NotImplementedError
+    n = len(part)
+    samples = Samples(
+        np.ascontiguousarray(part, np.int32),
+        np.ascontiguousarray(triangle, np.int32),
+        np.ascontiguousarray(u, np.float64),
+        np.ascontiguousarray(v, np.float64),
+        np.ascontiguousarray(world_from_part, np.float64),
+    )
+    own = allocate_frames(n)
+    _frames(geometry.tables, samples, np.zeros((0, 3)), own)
+    distance = np.zeros(n, np.float32)
+    if viewer is None:
+        direction = -own.smooth_normal.astype(np.float64)
+    else:
+        direction = own.position - viewer
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        distance = length[:, 0].astype(np.float32)
+        direction = np.where(length > 0, direction / np.where(length > 0, length, 1), -own.geometric_normal)
+        own.backfacing[:] = (own.geometric_normal * direction).sum(1) > 0
+    points = SurfacePoints(count=n)
+    _fill_surface(geometry, points, samples, own, needs, direction, np.zeros(n, np.float32))
+    state = allocate_ray_state(n)
+    for need in needs:
+        if need in _RAY_FIELDS:
+            setattr(points, need, getattr(state, _RAY_FIELDS[need]))
+        elif need == "ray_length":
+            points.ray_length = distance
+        elif need == "camera_from_world":
+            points.camera_from_world = state.camera_from_world
+        elif need == "object_index":
+            points.object_index = np.zeros(n, np.int32)
+        elif need == "object_color":
+            points.object_color = np.ones((n, 4), np.float32)
+        elif need == "object_random":
+            points.object_random = np.zeros(n, np.float32)
+        elif need.startswith("instance_attribute:"):
+            points.instance_attributes[need.partition(":")[2]] = np.zeros((n, 4), np.float32)
+    return points
+
+
+def _fill_surface(
+    geometry: Geometry,
+    points: SurfacePoints,
+    samples: Samples,
+    own: Frames,
+    needs: frozenset[str],
+    direction: np.ndarray,
+    width: np.ndarray | None,
+) -> None:
+    """Everything that place, triangle, view direction (n, 3) and footprint width (n,) decide."""
+    n, tables = len(samples.part), geometry.tables
+    if "local" in needs or "generated" in needs:
+        local = np.empty((n if "local" in needs else 0, 3), np.float32)
+        generated = np.empty((n if "generated" in needs else 0, 3), np.float32)
+        _local_points(tables, samples, local, generated)
+        points.local = local if "local" in needs else None
+        points.generated = generated if "generated" in needs else None
+    for need in needs:
+        kind, colon, name = need.partition(":")
+        if need == "position":
+            points.position = own.position
+        elif need == "normal":
+            points.normal = _turned(own.smooth_normal, own.backfacing)
+        elif need == "smooth_normal":
+            points.smooth_normal = own.smooth_normal
+        elif need == "geometric_normal":
+            points.geometric_normal = _turned(own.geometric_normal, own.backfacing)
+        elif need == "incoming":
+            points.incoming = (-direction).astype(np.float32)
+        elif need == "backfacing":
+            points.backfacing = own.backfacing
+        elif need == "barycentric":
+            points.barycentric = np.stack([samples.u, samples.v], 1).astype(np.float32)
+        elif need == "footprint":
+            points.footprint = width
+        elif need == "world_from_part":
+            points.world_from_part = samples.world_from_part
+        elif need == "object_location":
+            points.object_location = samples.world_from_part[:, :, 3].astype(np.float32)
+        elif need == "moved":
+            points.moved = _mover(geometry, points, samples, own, needs, direction, width)
+        elif kind == "uv":
+            points.uvs[name] = _layer_values(geometry, "uv", name, samples, 2)
+        elif kind == "attribute":
+            points.attributes[name] = _layer_values(geometry, "attribute", name, samples, 4)
+        elif kind == "tangent":
+            points.tangents[name] = _layer_values(geometry, "tangent", name, samples, 4)
+            _tangents_to_world(samples, points.tangents[name])
+        elif kind == "uv_footprint":
+            points.uv_footprints[name] = _uv_footprint(geometry, name, samples, own, direction, width)
+        elif not (need in _RAY_FIELDS or need in _OTHER_FIELDS or need in ("local", "generated")
+                  or (colon and kind in _LAYERS)):  # fmt: skip
+            raise KeyError(f"surface points have no '{need}'")
+
+
+def _turned(normal: np.ndarray, backfacing: np.ndarray) -> np.ndarray:
+    return np.where(backfacing[:, None], -normal, normal)
+
+
+def _layer_values(geometry: Geometry, kind: str, name: str, samples: Samples, channels: int) -> np.ndarray:
+    out = np.empty((len(samples.part), channels), np.float32)
+    found = layer(geometry, kind, name)
+    interpolate(geometry.tables, found, samples.part, samples.triangle, samples.u, samples.v, out)
+    return out
+
+
+def _uv_footprint(geometry, name, samples, own, direction, width) -> np.ndarray:
+    """UV units per footprint: the side of a square as large as the footprint on the (tilted) surface."""
+    found = layer(geometry, "uv", name)
+    n = len(samples.part)
+    uv = np.empty((3, n, 2), np.float32)
+    for k, (u, v) in enumerate(((0, 0), (1, 0), (0, 1))):
+        ones = np.ones(n)
+        interpolate(geometry.tables, found, samples.part, samples.triangle, u * ones, v * ones, uv[k])
+    s, t = (uv[1] - uv[0]).astype(np.float64), (uv[2] - uv[0]).astype(np.float64)
+    edges = np.empty((n, 2, 3))
+    _edges(geometry.tables, samples, edges)
+    world = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    area = np.abs(s[:, 0] * t[:, 1] - s[:, 1] * t[:, 0])
+    cosine = np.maximum(np.abs((own.geometric_normal * direction).sum(1)), GRAZING)
+    with np.errstate(all="ignore"):
+        density = np.where(world > 0, area / np.where(world > 0, world, 1), 0)
+    return (width * np.sqrt(density / cosine)).astype(np.float32)
+
+
+def _mover(geometry, points, samples, own, needs, direction, width):
+    """SurfacePoints.moved: the same triangles' planes at other barycentric weights."""
+
+    def moved(offset: np.ndarray) -> SurfacePoints:
+        edges = np.empty((len(samples.part), 2, 3))
+        _edges(geometry.tables, samples, edges)
+        a, b = edges[:, 0], edges[:, 1]
+        offset = np.asarray(offset, np.float64)
+        aa, ab, bb = (a * a).sum(1), (a * b).sum(1), (b * b).sum(1)
+        x, y = (a * offset).sum(1), (b * offset).sum(1)
+        det = aa * bb - ab * ab
+        det = np.where(det > 0, det, np.inf)
+        there = samples._replace(
+            u=samples.u + (bb * x - ab * y) / det,
+            v=samples.v + (aa * y - ab * x) / det,
+        )
+        frames_there = allocate_frames(len(there.part))
+        _frames(geometry.tables, there, direction, frames_there)
+        result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
+        _fill_surface(geometry, result, there, frames_there, needs, direction, width)
+        return result
+
+    return moved
+
+
+def _instance_attribute(geometry: Geometry, record: np.ndarray, name: str) -> np.ndarray:
+    """(n, 4) float32 of an attribute of the instances themselves; zeros where there is none."""
+    out = np.zeros((len(record), 4), np.float32)
+    batch_of = np.searchsorted(geometry.instances.first_record, record, side="right") - 1
+    for b in np.unique(batch_of[record >= 0]):
+        batch = geometry.batches[b]
+        values = batch.attributes.get(name)
+        if values is None or not len(values):
+            continue
+        rows = np.flatnonzero((batch_of == b) & (record >= 0))
+        place = (
+            record[rows] - geometry.instances.first_record[b] if len(values) > 1 else np.zeros(len(rows), int)
+        )
+        found = np.asarray(values, np.float32).reshape(len(values), -1)[place]
+        if found.shape[1] == 1:
+            out[rows, :3] = found
+        else:
+            out[rows[:, None], np.arange(min(found.shape[1], 4))] = found[:, :4]
+        if found.shape[1] < 4:
+            out[rows, 3] = 1
+    return out

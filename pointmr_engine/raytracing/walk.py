@@ -7,7 +7,13 @@ from numba import njit
 
 from pointmr_engine.hierarchy.acceleration import Acceleration
 from pointmr_engine.numerics.hashing import combine_seeds, hash_path
-from pointmr_engine.numerics.intersect import edge_met_exactly, localize, plane_distance, point_distance, shear_of
+from pointmr_engine.numerics.intersect import (
+    edge_met_exactly,
+    localize,
+    plane_distance,
+    point_distance,
+    shear_of,
+)
 from pointmr_engine.numerics.pointers import pointer_f64, pointer_i32
 from pointmr_engine.numerics.simd import slab_test, trailing_zeros, triangle_test
 from pointmr_engine.numerics.transforms import append_transform, ray_into
@@ -60,7 +66,9 @@ def _is_opaque(arrays, part, triangle):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def walk_shape(arrays, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, stack, stack_t, sp, entry, lanes):
+def walk_shape(
+    arrays, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, stack, stack_t, sp, entry, lanes
+):
     """Closest hit of a ray in the part's own space, nearer than t_max: (triangle or -1, t, u, v).
 
     `skip` is a triangle that is not hit. With any_hit, (BLOCKED, ...) as soon as an opaque triangle is met before
@@ -173,8 +181,8 @@ def _describe(arrays, chain, length, hits, n):
     for r in range(3):
         for c in range(4):
             world[r, c] = 1.0 if r == c else 0.0
-    path, seed, index, record = np.uint64(0), np.uint32(0), np.int32(0), np.int64(-1)
-    flags = np.int64(VISIBLE)
+    path, seed, index, named = np.uint64(0), np.uint32(0), np.int32(0), np.int64(-1)
+    flags, named_has = np.int64(VISIBLE), False
     for k in range(4):
         hits.color[n, k] = np.float32(1)
     for level in range(length):
@@ -182,6 +190,8 @@ def _describe(arrays, chain, length, hits, n):
         i = record - instances.first_record[batch]
         append_transform(world, pointer_f64(instances.transforms[batch]), 12 * i)
         path = hash_path(path, record)
+        if instances.has_attributes[batch] or named < 0 or not named_has:
+            named, named_has = record, instances.has_attributes[batch]
         flags = combined_flags(instances, batch, i, flags)
         where = instances.seed[batch]
         if where[0] >= 0:
@@ -196,7 +206,7 @@ def _describe(arrays, chain, length, hits, n):
     hits.path[n] = path
     hits.seed[n] = seed
     hits.object_index[n] = index
-    hits.instance[n] = record
+    hits.instance[n] = named
     hits.holdout[n] = (flags & HOLDOUT) != 0
 
 
@@ -241,7 +251,9 @@ def _trace(arrays, rays, hits, start, stop, any_hit):
                 last_t = np.float32((t_max if any_hit else best_t) * length - shift + pad)
                 entering = False
             if node >= 0:
-                mask = slab_test(arrays.boxes, node, near, scale, shift_near, shift_far, first_t, last_t, entry)
+                mask = slab_test(
+                    arrays.boxes, node, near, scale, shift_near, shift_far, first_t, last_t, entry
+                )
                 if mask != 0:
                     nearest, sp = push_children(mask, node, arrays.children, entry, stack, stack_t, sp)
                     node = np.int64(nearest)
@@ -275,7 +287,9 @@ def _trace(arrays, rays, hits, start, stop, any_hit):
                             entering = True
                             continue
                 if part >= 0:
-                    skip = np.int64(rays.skip_triangle[n]) if rays.skip_path[n] == below_path else np.int64(-1)
+                    skip = (
+                        np.int64(rays.skip_triangle[n]) if rays.skip_path[n] == below_path else np.int64(-1)
+                    )
                     limits = (t_max if any_hit else best_t, best_t)
                     triangle, t, u, v = walk_shape(
                         arrays, part, px, py, pz, qx, qy, qz, t_min, limits, skip, any_hit, stack, stack_t, sp, entry, lanes
@@ -315,7 +329,9 @@ def _trace(arrays, rays, hits, start, stop, any_hit):
             _describe(arrays, best_chain, best_length, hits, n)
 
 
-def intersect(acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0, stop: int | None = None) -> None:
+def intersect(
+    acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0, stop: int | None = None
+) -> None:
     """Closest hits of rays[start:stop] with t_min < t < t_max, written to hits[start:stop].
 
     Releases the GIL; may run in several threads at once on disjoint ranges. A ray with a direction that is zero or not
@@ -324,7 +340,9 @@ def intersect(acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0
     _trace(acceleration.arrays, rays, hits, start, len(rays.origin) if stop is None else stop, False)
 
 
-def shadow(acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0, stop: int | None = None) -> None:
+def shadow(
+    acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0, stop: int | None = None
+) -> None:
     """Shadow rays: hits.triangle is BLOCKED (-2) where any opaque triangle lies in between (other fields undefined).
 
     Otherwise the closest hit on a triangle whose material may be transparent (see acceleration.set_opaque), or -1.

@@ -1,0 +1,105 @@
+"""Attribute layers over all parts of a scene: where each mesh keeps a UV layer, an attribute, tangents; interpolation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.tangents import corner_tangents
+from pointmr_engine.numerics.pointers import address_of, pointer_f32, pointer_i32
+from pointmr_engine.scene.mesh import Mesh
+
+NONE, VERTEX, CORNER, FACE, CONSTANT = range(5)
+_DOMAINS = {"vertex": VERTEX, "corner": CORNER, "face": FACE, "constant": CONSTANT}
+
+
+class Layer(NamedTuple):
+    """One row per part: where its values are, float32 (count, channels), and what they belong to."""
+
+    address: np.ndarray  # (P,) uint64
+    domain: np.ndarray  # (P,) int64: NONE where the mesh lacks the layer
+    channels: np.ndarray  # (P,) int64
+
+
+def uv_layer(mesh: Mesh, name: str) -> np.ndarray | None:
+    """(T, 3, 2) of the layer `name`; "" is the active one (or the first)."""
+    if name == "" and name not in mesh.uvs:
+        name = mesh.active_uv if mesh.active_uv in mesh.uvs else next(iter(mesh.uvs), "")
+    return mesh.uvs.get(name)
+
+
+def _source(geometry: Geometry, part: int, kind: str, name: str) -> tuple[np.ndarray | None, int]:
+    mesh = geometry.parts[part]
+    if kind == "attribute":
+        if name == "" and name not in mesh.attributes:  # the active colours: the first that has four channels
+            name = next((n for n, a in mesh.attributes.items() if a.values.shape[1] == 4), "")
+        found = mesh.attributes.get(name)
+        if found is not None:
+            return found.values, _DOMAINS[found.domain]
+        return (mesh.uvs[name].reshape(-1, 2), CORNER) if name in mesh.uvs else (None, NONE)
+    uv = uv_layer(mesh, name)
+    if uv is None or not len(mesh.triangles):
+        return None, NONE
+    if kind == "tangent":
+        return corner_tangents(mesh, uv).reshape(-1, 4), CORNER
+    return uv.reshape(-1, 2), CORNER
+
+
+def layer(geometry: Geometry, kind: str, name: str) -> Layer:
+    """The layer of kind "uv", "tangent" or "attribute", made once per Geometry and kept by it."""
+    with geometry.lock:
+        found = geometry.layers.get((kind, name))
+        if found is None:
+            n = len(geometry.parts)
+            found = Layer(np.zeros(n, np.uint64), np.zeros(n, np.int64), np.zeros(n, np.int64))
+            for part in range(n):
+                values, domain = _source(geometry, part, kind, name)
+                if values is not None and values.size:
+                    values = np.ascontiguousarray(values, np.float32)
+                    geometry.kept.append(values)
+                    found.address[part], found.domain[part] = address_of(values), domain
+                    found.channels[part] = values.shape[1]
+            geometry.layers[kind, name] = found
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolate(tables, layer, part, triangle, u, v, out):
+    """Values of a layer at surface points (u, v float64) into out (n, channels) float32.
+
+    Missing layers give zeros. Where out has four channels and the layer fewer: one is repeated as a grey, the third is 0
+    if missing and the fourth 1, as Cycles converts attributes to colours.
+    """
+    wanted = out.shape[1]
+    for i in range(len(part)):
+        p = part[i]
+        domain, channels = layer.domain[p], layer.channels[p]
+        if domain == NONE:
+            for k in range(wanted):
+                out[i, k] = np.float32(0)
+            continue
+        values = pointer_f32(layer.address[p])
+        t = np.int64(triangle[i]) - tables.first_triangle[p]
+        w0, w1, w2 = 1.0 - u[i] - v[i], u[i], v[i]
+        a, b, c = np.int64(0), np.int64(0), np.int64(0)
+        if domain == VERTEX:
+            corners = pointer_i32(tables.triangles[p])
+            a, b, c = np.int64(corners[3 * t]), np.int64(corners[3 * t + 1]), np.int64(corners[3 * t + 2])
+        elif domain == CORNER:
+            a, b, c = 3 * t, 3 * t + 1, 3 * t + 2
+        elif domain == FACE:
+            a, b, c = t, t, t
+        for k in range(wanted):
+            if k < channels:
+                out[i, k] = (
+                    w0 * values[a * channels + k]
+                    + w1 * values[b * channels + k]
+                    + w2 * values[c * channels + k]
+                )
+            elif k == 3:
+                out[i, k] = np.float32(1)
+            else:
+                out[i, k] = out[i, 0] if channels == 1 else np.float32(0)
