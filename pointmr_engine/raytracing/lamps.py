@@ -126,9 +126,9 @@ def _compile_point(light: Light, m: np.ndarray, strength: np.ndarray, values: np
         )  # a scaled spot's cone is an elliptical one: the wider half angle
         wider = math.atan2(max(scale[0], scale[1]) * math.tan(min(half, 1.57079)), scale[2])
         values[SPOT_CONE] = 1.0 if half >= 1.57079 else 1.0 - math.cos(wider)
-    radiance = strength / (4.0 * math.pi)
-    if radius > 0.0 and light.normalize:
-        radiance = radiance / (math.pi * radius * radius)
+    radiance = strength / math.pi
+    if light.normalize:
+        radiance = radiance / (4.0 * (math.pi * radius * radius if radius > 0.0 else 1.0))
     shape = POINT if radius == 0.0 else (DISC if light.soft_falloff else SPHERE)
     return shape, values, radiance, light.use_mis and radius > 0.0
 
@@ -379,11 +379,9 @@ def intersect_lamp(lamps, i, px, py, pz, dx, dy, dz):
     row = lamps.values[i]
     shape = lamps.shape[i]
     if shape == SPHERE or shape == DISC:
-        cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
-        if row[SPOT] != 0.0 and cx * dx + cy * dy + cz * dz <= 0.0:
-            return -1.0
         if shape == SPHERE:
             return _sphere_distance(px, py, pz, row, dx, dy, dz)
+        cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
         d2 = cx * cx + cy * cy + cz * cz
         along = cx * dx + cy * dy + cz * dz
         if along <= 0.0:
