@@ -1,28 +1,130 @@
-"""Blender's materials to engine materials, each once."""
+"""Blender's materials, worlds and lights to engine graphs, each once."""
 
 from __future__ import annotations
 
-from pointmr_engine.scene.graph import Graph
+import numpy as np
+
+from blender_addon.sync.images import ImageSync
+from blender_addon.sync.nodes import translate
+from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.material import Material
+
+# nodes of Blender 5 that only Blender itself can unroll
+_ZONES = ("Repeat", "Closure", "Bundle", "MenuSwitch", "EvaluateClosure", "IndexSwitch")
 
 
 class MaterialSync:
     """Translates materials and keeps them, so that equal slots share one engine Material.
 
-    report(level, message): level "INFO", "WARNING" or "ERROR".
+    report(level, message): level "INFO", "WARNING" or "ERROR". images: an ImageSync to share, else its own.
     """
 
-    def __init__(self, report) -> None:
-        raise NotImplementedError
+    def __init__(self, report, images: ImageSync | None = None) -> None:
+        self._report = report
+        self.images = ImageSync(report) if images is None else images
+        self._materials: dict[str, Material] = {}
+        self._default: Material | None = None
 
     def get(self, material) -> Material:
         """The engine's material for a bpy Material, or for None the default grey one."""
-        raise NotImplementedError
+        if material is None:
+            if self._default is None:
+                self._default = Material("default", plain_surface((0.8, 0.8, 0.8)))
+            return self._default
+        key = material.name_full
+        if key not in self._materials:
+            self._materials[key] = self._translate(material)
+        return self._materials[key]
 
     def light_graph(self, light) -> Graph | None:
         """The node graph of a bpy Light, or None where it has no nodes that change its emission."""
-        raise NotImplementedError
+        if not getattr(light, "use_nodes", True) or light.node_tree is None:
+            return None
+        graph = self._graph(light, f"light '{light.name_full}'", "from_light")
+        return None if graph is None or is_plain_light(graph) else graph
 
     def world_graph(self, world) -> Graph:
         """The background graph of a bpy World; empty (black) for None."""
-        raise NotImplementedError
+        if world is None:
+            return Graph()
+        if getattr(world, "use_nodes", True) and world.node_tree is not None:
+            graph = self._graph(world, f"world '{world.name_full}'", "from_world")
+            if graph is not None:
+                return graph
+        nodes = {"background": Node("background", {"color": tuple(world.color), "strength": 1.0})}
+        return Graph(nodes, surface=Link("background", "background"))
+
+    # ----
+
+    def _translate(self, material) -> Material:
+        name = material.name_full
+        graph = None
+        if getattr(material, "use_nodes", True) and material.node_tree is not None:
+            graph = self._graph(material, f"material '{name}'", "from_material")
+        if graph is None:
+            graph = plain_surface(tuple(material.diffuse_color)[:3])
+        settings = getattr(material, "cycles", None)
+        method = getattr(material, "displacement_method", "BUMP")
+        if method != "BUMP" and graph.displacement is not None:
+            self._report("INFO", f"material '{name}': displacement is shown as bump")
+        return Material(
+            name,
+            graph,
+            pass_index=material.pass_index,
+            emission_sampling=getattr(settings, "emission_sampling", "AUTO"),
+            bump_method=method,
+        )
+
+    def _graph(self, owner, what: str, inline: str) -> Graph | None:
+        """The graph of something with a node tree; None, and an error reported, where it cannot be translated."""
+
+        def report(level: str, message: str) -> None:
+            self._report(level, f"{what}: {message}")
+
+        try:
+            unrolled = unrolled_tree(owner, inline)
+            tree = owner.node_tree if unrolled is None else unrolled.node_tree
+            return translate(tree, report, self.images)
+        except Exception as error:  # a material must never stop a render, whatever it is made of
+            report("ERROR", f"its nodes cannot be translated: {type(error).__name__}: {error}")
+            return None
+
+
+def plain_surface(color: tuple[float, ...]) -> Graph:
+    """A diffuse surface of one colour."""
+    color = tuple(float(v) for v in np.asarray(color, np.float64))
+    return Graph({"diffuse": Node("diffuse", {"color": color})}, surface=Link("diffuse", "bsdf"))
+
+
+def is_plain_light(graph: Graph) -> bool:
+    """Whether a lamp's graph is a white emission of strength 1, as a new lamp has it."""
+    node = graph.nodes.get(graph.surface.node) if graph.surface else None
+    if node is None or node.kind != "emission":
+        return False
+    color, strength = node.inputs.get("color", (1.0, 1.0, 1.0)), node.inputs.get("strength", 1.0)
+    return not isinstance(color, Link) and tuple(color)[:3] == (1.0, 1.0, 1.0) and strength == 1.0
+
+
+def unrolled_tree(owner, constructor: str):
+    """Blender's own copy of a tree without zones and closures (5.0 and later), None where it is not needed.
+
+    What is returned owns the tree: keep it while reading.
+    """
+    import bpy
+
+    inliner = getattr(bpy.types, "InlineShaderNodes", None)
+    if inliner is None or not _has_zones(owner.node_tree, set()):
+        return None
+    return getattr(inliner, constructor)(owner)
+
+
+def _has_zones(tree, seen: set[str]) -> bool:
+    for node in tree.nodes:
+        if any(zone in node.bl_idname for zone in _ZONES):
+            return True
+        below = getattr(node, "node_tree", None)
+        if below is not None and below.name_full not in seen:
+            seen.add(below.name_full)
+            if _has_zones(below, seen):
+                return True
+    return False

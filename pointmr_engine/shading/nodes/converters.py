@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, node

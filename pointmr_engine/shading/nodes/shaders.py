@@ -222,3 +222,22 @@ def _sum(c: Call) -> np.ndarray:
 @node("limit_color", {"value": (COLOR, 0.0)}, {"value": COLOR})
 def _limit(c: Call) -> np.ndarray:
     return np.clip(c["value"], c.params["low"], c.params["high"])
+
+
+@node(
+    "conductor",
+    {"ior": (VECTOR, 1.0), "extinction": (VECTOR, 1.0)},
+    {"base_color": COLOR, "edge_tint": COLOR},
+)
+def _conductor(c: Call) -> dict[str, np.ndarray]:
+    """Reflectance of a metal of index n + i k seen straight on, and its tint at 82 degrees (F82) over Schlick's."""
+    n, k = np.maximum(c["ior"], 0), np.maximum(c["extinction"], 0)
+
+    def reflectance(cosine: float) -> np.ndarray:
+        size, two_nc, c2 = n * n + k * k, 2 * n * cosine, cosine * cosine
+        parallel = (size * c2 - two_nc + 1) / (size * c2 + two_nc + 1)
+        return (parallel + (size - two_nc + c2) / (size + two_nc + c2)) / 2
+
+    f0, f82 = reflectance(1.0), reflectance(1 / 7)
+    schlick = f0 + (1 - f0) * (6 / 7) ** 5
+    return {"base_color": f0, "edge_tint": np.clip(f82 / np.maximum(schlick, 1e-6), 0, 1)}
