@@ -14,16 +14,12 @@ def place(sync, ob, collection) -> list[Placed]:
     settings = ob.pointmr
     if settings.instance_on == "ORIGIN":
         return sync.collection(collection)
-    source = point_data(sync, ob)
-    if source is None:
+    points = point_transforms(ob, sync.geometry_set, sync.watch)
+    if points is None:
         sync.watch.warn(f"object '{ob.name}': it has no points to instance on")
         return []
-    positions, normals, data = source
-    n = len(positions)
-    linear = rotations(data, normals, settings, n, ob, sync.watch)
-    size = scales(data, settings, n, ob, sync.watch)
-    at = transforms.affine(linear * size[:, None, :], positions)
-    index = indices(data, settings, n, ob, sync.watch)
+    at, index, data = points
+    n = len(at)
     rows = Rows(ob.name, sync.lamps, sync.watch)
     whole = sync.collection(collection)
     ids = np.arange(n)
@@ -81,14 +77,33 @@ def children(sync, collection, reset: bool) -> list[list[Placed]]:
     return result
 
 
-def point_data(sync, ob):
+def point_transforms(ob, geometry_set, watch):
+    """(object_from_point (N, 3, 4), index (N,) int64 or None, data with the points) of an evaluated PointMR instancer.
+
+    geometry_set(ob) gives its GeometrySet or None. None where it has no points.
+    """
+    source = point_data(ob, geometry_set)
+    if source is None:
+        return None
+    positions, normals, data = source
+    n, settings = len(positions), ob.pointmr
+    linear = rotations(data, normals, settings, ob, watch)
+    size = scales(data, settings, ob, watch)
+    return (
+        transforms.affine(linear * size[:, None, :], positions),
+        indices(data, settings, n, ob, watch),
+        data,
+    )
+
+
+def point_data(ob, geometry_set):
     """(positions (N, 3), normals (N, 3) or None, data with attributes) of the evaluated object, None if it has none."""
     data = ob.data
     if ob.type not in {"MESH", "POINTCLOUD"}:
-        gs = sync._geometry_set(ob)
+        gs = geometry_set(ob)
         data = None if gs is None else gs.mesh or gs.pointcloud
     elif ob.type == "MESH" and not len(data.vertices):
-        gs = sync._geometry_set(ob)
+        gs = geometry_set(ob)
         data = data if gs is None or gs.pointcloud is None else gs.pointcloud
     if data is None:
         return None
@@ -122,7 +137,7 @@ def point_attribute(data, name: str, kinds: set[str], ob, watch) -> np.ndarray |
     return attributes.read_values(found)
 
 
-def rotations(data, normals, settings, n: int, ob, watch) -> np.ndarray:
+def rotations(data, normals, settings, ob, watch) -> np.ndarray:
     """Rotations (N, 3, 3) or (1, 3, 3) of the points."""
     if settings.rotation_from == "NORMAL":
         if normals is not None:
@@ -140,7 +155,7 @@ def rotations(data, normals, settings, n: int, ob, watch) -> np.ndarray:
     return np.eye(3)[None]
 
 
-def scales(data, settings, n: int, ob, watch) -> np.ndarray:
+def scales(data, settings, ob, watch) -> np.ndarray:
     """Scales (N, 1 or 3) or (1, 1) of the points."""
     values = point_attribute(data, settings.scale_attribute, {"FLOAT", "FLOAT_VECTOR"}, ob, watch)
     return np.ones((1, 1)) if values is None else values.astype(np.float64)

@@ -182,7 +182,7 @@ class InstanceSync:
         if kind == "MESH":
             mesh = self.meshes.get(ob.data, self.meshes.slot_materials.of_object(ob, ob.data), ob.name)
             extra = self._hair(ob)
-            gs = self._geometry_set(ob) if makes_geometry(ob) else None
+            gs = self.geometry_set(ob) if makes_geometry(ob) else None
             if gs is not None and gs.pointcloud is not None:
                 clouds = [gs.pointcloud]
             if not extra and not clouds:
@@ -210,7 +210,7 @@ class InstanceSync:
                 self._shared_geometry[key] = group
             return group
         elif kind == "CURVES":
-            gs = self._geometry_set(ob)
+            gs = self.geometry_set(ob)
             data = ob.data if gs is None else gs.curves
             if data is not None:
                 hair = curves.hair_curves(data, ob.name)
@@ -221,7 +221,7 @@ class InstanceSync:
             if gs is not None and gs.mesh is not None:
                 meshes += self._set_mesh(gs, ob)
         elif kind == "POINTCLOUD":
-            gs = self._geometry_set(ob)
+            gs = self.geometry_set(ob)
             if gs is None:
                 clouds = [ob.data]
             else:
@@ -293,7 +293,7 @@ class InstanceSync:
                 result.append(mesh)
         return result
 
-    def _geometry_set(self, ob):
+    def geometry_set(self, ob):
         """The object's evaluated GeometrySet, kept alive; None where Blender has none to give."""
         if not hasattr(ob, "evaluated_geometry"):
             return None
@@ -323,7 +323,7 @@ class InstanceSync:
             )  # an instanced source that is hidden shows itself, but not its instances
         native = None
         if makes_geometry(ob):
-            gs = self._geometry_set(ob)
+            gs = self.geometry_set(ob)
             if gs is not None and len(gs.instance_references()):
                 is_instancer = True
                 # legacy instances come this way too, where modifiers make none
@@ -331,7 +331,7 @@ class InstanceSync:
                     gs, ob, context, (), plain=instances_particles(ob) and not has_nodes(ob)
                 )
         if native is None and instances_particles(ob):
-            gs = self._geometry_set(ob)
+            gs = self.geometry_set(ob)
             native = [] if gs is None else self._set_instances(gs, ob, context, (0,), plain=True)
         if native is None and ob.instance_type in {"VERTS", "FACES"}:
             native = self._child_instances(ob, context)
@@ -386,42 +386,19 @@ class InstanceSync:
     def _child_instances(self, ob, context) -> list[Placed]:
         """Instances of the object's children on its vertices or faces."""
         if ob.type != "MESH":
-            gs = None if context is not None else self._geometry_set(ob)
+            gs = None if context is not None else self.geometry_set(ob)
             if gs is None:
                 self.watch.warn(
                     f"object '{ob.name}': vertex instances of a {ob.type.lower()} object cannot be read"
                 )
                 return []
             return self._set_instances(gs, ob, context, ())
-        mesh = ob.data
-        positions = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", positions)
-        positions = positions.reshape(-1, 3)
-        normals = None
-        if ob.instance_type == "VERTS":
-            if ob.use_instance_vertices_rotation:
-                normals = np.empty(positions.size, np.float32)
-                mesh.vertex_normals.foreach_get("vector", normals)
-                normals = normals.reshape(-1, 3)
-        else:
-            starts, totals = np.empty((2, len(mesh.polygons)), np.int32)
-            mesh.polygons.foreach_get("loop_start", starts)
-            mesh.polygons.foreach_get("loop_total", totals)
-            corners = np.empty(len(mesh.loops), np.int32)
-            mesh.loops.foreach_get("vertex_index", corners)
-            scale = ob.instance_faces_scale if ob.use_instance_faces_scale else None
-            frames, positions = transforms.face_frames(positions, starts, totals, corners, scale)
+        frames, positions = dupli_frames(ob, ob.data)
         rows = Rows(ob.name, self.lamps, self.watch)
         to_object = np.linalg.pinv(matrix(ob.matrix_world))
         for child in self._children(ob, context):
             self.watch.poll()
-            relative = to_object @ matrix(child.matrix_world)
-            linear = relative[:3, :3]
-            if ob.instance_type == "FACES":
-                linear = linear @ matrix(child.matrix_parent_inverse)[:3, :3] @ frames
-            elif normals is not None:
-                linear = linear @ transforms.track_matrices(-normals, child.track_axis, child.up_axis)
-            at = transforms.affine(linear, positions + relative[:3, 3])
+            at = child_transforms(ob, child, to_object @ matrix(child.matrix_world), frames, positions)
             own, made = self.contents(child, context)
             parts = ([own] if own is not None else []) + made
             rows.add_many([parts], None, at, [np.arange(len(at))], ob.name)
@@ -507,6 +484,39 @@ class InstanceSync:
         outer = (len(parts),) if parts else ()
         made = self._set_instances(gs, ob, context, outer)
         return parts + [p._replace(settled=False) for p in made]
+
+
+def dupli_frames(ob, mesh):
+    """What an instancer's vertices or faces give to each of its children: (frames, positions (N, 3)).
+
+    frames: faces' linear parts (N, 3, 3); vertex normals (N, 3), or None for vertices that do not rotate.
+    """
+    positions = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", positions)
+    positions = positions.reshape(-1, 3)
+    if ob.instance_type == "VERTS":
+        if not ob.use_instance_vertices_rotation:
+            return None, positions
+        normals = np.empty(positions.size, np.float32)
+        mesh.vertex_normals.foreach_get("vector", normals)
+        return normals.reshape(-1, 3), positions
+    starts, totals = np.empty((2, len(mesh.polygons)), np.int32)
+    mesh.polygons.foreach_get("loop_start", starts)
+    mesh.polygons.foreach_get("loop_total", totals)
+    corners = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    scale = ob.instance_faces_scale if ob.use_instance_faces_scale else None
+    return transforms.face_frames(positions, starts, totals, corners, scale)
+
+
+def child_transforms(ob, child, relative: np.ndarray, frames, positions: np.ndarray) -> np.ndarray:
+    """Placements (N, 3, 4) of a child in its instancer's space; relative (4, 4): instancer_from_child."""
+    linear = relative[:3, :3]
+    if ob.instance_type == "FACES":
+        linear = linear @ matrix(child.matrix_parent_inverse)[:3, :3] @ frames
+    elif frames is not None:
+        linear = linear @ transforms.track_matrices(-frames, child.track_axis, child.up_axis)
+    return transforms.affine(linear, positions + relative[:3, 3])
 
 
 def read_transforms(cloud) -> np.ndarray:
