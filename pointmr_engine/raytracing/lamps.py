@@ -378,9 +378,9 @@ def intersect_lamp(lamps, i, px, py, pz, dx, dy, dz):
     """Distance at which the ray from p meets lamp i (inf for suns), or -1. Delta lamps are never met."""
     row = lamps.values[i]
     shape = lamps.shape[i]
-    if shape == SPHERE or shape == DISC:
-        if shape == SPHERE:
-            return _sphere_distance(px, py, pz, row, dx, dy, dz)
+    if shape == SPHERE:
+        return _sphere_distance(px, py, pz, row, dx, dy, dz)
+    if shape == DISC:
         cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
         d2 = cx * cx + cy * cy + cz * cz
         along = cx * dx + cy * dy + cz * dz
