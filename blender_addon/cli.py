@@ -1,0 +1,134 @@
+"""The `pointmr` command: renders .blend files without a window, and says what is in them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from blender_addon import batch
+from blender_addon.headless import FAILED, INTERRUPTED, CommandError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns the exit code: 0 done, 1 failed, 2 bad input, 3 unwritable output, 130 interrupted."""
+    options = build_parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except CommandError as error:
+        print(f"pointmr: error: {error}", file=sys.stderr)
+        return error.code
+    except KeyboardInterrupt:
+        print("pointmr: interrupted; finished frames are kept", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    parser = argparse.ArgumentParser(prog="pointmr", description="Render Blender files with PointMR.")
+    commands = parser.add_subparsers(required=True, metavar="command")
+
+    render = commands.add_parser("render", help="render frames of a .blend file to OpenEXR or PNG")
+    render.set_defaults(run=_run_render)
+    add = render.add_argument
+    add("file", type=Path, metavar="FILE.blend")
+    add(
+        "-f",
+        "--frames",
+        type=_frames,
+        metavar="LIST",
+        help="frames: 1-24, 1,3,5-9 or 1-100/10; default: the file's own",
+    )
+    add(
+        "-o",
+        "--output",
+        metavar="PATH",
+        help="output/####.exr or .png; #### is the frame; default: out/FILE.exr",
+    )
+    add(
+        "--method",
+        metavar="NAME",
+        help="conventional, distributed, ...; default, here and below: as the file has it",
+    )
+    add("--samples", type=_positive, metavar="N", help="samples per pixel")
+    add("--size", type=_size, metavar="640x480", help="size of the image in pixels")
+    add("--camera", metavar="NAME", help="object name of the camera to render from")
+    add("--seed", type=_natural, metavar="N", help="seed of the random numbers")
+    add("--threads", type=_natural, metavar="N", help="threads of each process; 0: one per core")
+    add("--png", action="store_true", help="write a PNG beside each EXR, in the scene's own view transform")
+    add("--half", action="store_true", help="colours as half floats in EXR files")
+    add(
+        "--compositing",
+        action="store_true",
+        help="let the file's compositor work on the PNG (it may write other files)",
+    )
+    add(
+        "--keep-existing",
+        action="store_true",
+        help="skip frames whose files exist, to go on with a broken batch",
+    )
+    add("--jobs", type=_positive, default=1, metavar="N", help="frames in N processes side by side")
+    add("--part", metavar="K/N", help="only the K-th of N shares of the frames, for several machines")
+    add("--stats", type=Path, metavar="FILE.json", help="write times, memory and counters of every frame")
+    add(
+        "--scripts",
+        action="store_true",
+        help="run the file's Python scripts and drivers: only if you trust it",
+    )
+    add("-v", "--verbose", action="store_true", help="show Blender's own output")
+    add("--worker", action="store_true", help=argparse.SUPPRESS)
+
+    info = commands.add_parser("info", help="say what a .blend file holds, as the renderer sees it")
+    info.set_defaults(run=_run_info)
+    info.add_argument("file", type=Path, metavar="FILE.blend")
+    info.add_argument("--json", action="store_true", help="as JSON")
+    info.add_argument("--scripts", action="store_true", help="run the file's Python scripts and drivers")
+    return parser
+
+
+def _number(text: str, least: int) -> int:
+    if not text.isdigit() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least {least}")
+    return int(text)
+
+
+def _positive(text: str) -> int:
+    return _number(text, 1)
+
+
+def _natural(text: str) -> int:
+    return _number(text, 0)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, x, height = text.lower().partition("x")
+    if not (x and width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a size such as 640x480")
+    return int(width), int(height)
+
+
+def _frames(text: str) -> list[int]:
+    try:
+        return batch.parse_frames(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def _run_render(options: argparse.Namespace) -> int:
+    from blender_addon.command.render import command_render
+
+    return command_render(options)
+
+
+def _run_info(options: argparse.Namespace) -> int:
+    from blender_addon.command.info import command_info
+
+    return command_info(options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The subcommands of `pointmr`, and what they share."""

@@ -1,0 +1,108 @@
+"""What `pointmr render` shows: a progress bar, messages, and a summary of each frame."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from blender_addon.headless import Options
+
+
+class Report:
+    """Progress bar (from the first frame on), messages (each once) and one summary per frame."""
+
+    def __init__(self, options: Options, several: bool, frames: int):
+        self.frames: list[dict] = []
+        self._said: set[str] = set()
+        self._fractions: dict[int, float] = {}
+        self._several = several
+        self._name, self._total = options.file.stem, float(frames)
+        self._bar = None
+
+    def begin(self, frame: int) -> None:
+        """A frame begins."""
+        self.progress(frame, 0.0, "opening")
+
+    def _open_bar(self) -> None:
+        from tqdm import tqdm
+
+        self._bar = tqdm(
+            total=self._total,
+            desc=self._name,
+            file=sys.stderr,
+            bar_format="{desc}: {percentage:3.0f}% |{bar}| {elapsed}<{remaining}{postfix}",
+            mininterval=0.1 if sys.stderr.isatty() else 10.0,
+            leave=False,
+        )
+
+    def _write(self, text: str, file) -> None:
+        if self._bar is None:
+            print(text, file=file)
+        else:
+            self._bar.write(text, file=file)
+
+    def progress(self, frame: int, fraction: float, text: str) -> None:
+        """A frame is done to a share of 0..1."""
+        if self._bar is None:
+            self._open_bar()
+        before = self._fractions.get(frame, 0.0)
+        self._fractions[frame] = max(before, min(fraction, 1.0))
+        self._bar.set_postfix_str(f"frame {frame}: {text}" if self._several else text, refresh=False)
+        self._bar.update(self._fractions[frame] - before)
+
+    def message(self, level: str, text: str) -> None:
+        """A message, each once; errors are told by `failed`."""
+        if text not in self._said and level != "ERROR":
+            self._said.add(text)
+            prefix = "warning: " if level == "WARNING" else ""
+            self._write(f"{prefix}{text}", sys.stderr)
+
+    def done(self, rendered: dict, memory: int) -> None:
+        """A frame is finished: its summary."""
+        self.progress(rendered["frame"], 1.0, "done")
+        self.frames.append({**rendered, "peak_memory": memory})
+        self._write(summary(rendered, memory), sys.stdout)
+
+    def failed(self, frame: int, reason: str) -> None:
+        """A frame could not be rendered."""
+        self.progress(frame, 1.0, "failed")
+        self._write(f"frame {frame} failed: {reason}", sys.stderr)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        if self._bar is not None:
+            self._bar.close()
+
+
+def summary(rendered: dict, memory: int) -> str:
+    """A frame's summary: counts, seconds by phase, memory, files."""
+    stats, seconds = rendered["stats"], dict(rendered["seconds"])
+    settings = stats["settings"]
+    lines = [f"frame {rendered['frame']}: {settings['width']}x{settings['height']}, {settings['method']}"]
+    if settings["method"] != "conventional":
+        lines[0] += f", {count(settings['samples'], 'sample')} per pixel"
+    if "instanced_triangles" in stats:
+        unique, instanced = stats["unique_triangles"], stats["instanced_triangles"]
+        lines.append(f"  triangles: {unique:,} unique, {instanced:,} instanced")
+    inner = {k: v for k, v in stats.get("seconds", {}).items() if k != "total"}
+    whole = sum(seconds.values())
+    if inner:  # the engine's own phases stand for "render"
+        seconds = {k: v for k, v in seconds.items() if k not in ("render", "write")} | inner
+        seconds["write"] = rendered["seconds"].get("write", 0.0)
+    lines.append(
+        "  time: " + ", ".join(f"{k} {v:.2f} s" for k, v in seconds.items()) + f"; together {whole:.2f} s"
+    )
+    lines.append(f"  peak memory: {memory / 2**20:,.0f} MB")
+    lines += [f"  {Path(path).resolve()}" for path in rendered["files"]]
+    return "\n".join(lines)
+
+
+def count(n: int, what: str) -> str:
+    return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"
+
+
+def plain(value):
+    """numpy's numbers and arrays, and what else JSON does not know, for json.dump."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return sorted(value) if isinstance(value, (set, frozenset)) else str(value)
