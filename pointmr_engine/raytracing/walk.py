@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -22,10 +24,13 @@ from pointmr_engine.scene.group import HOLDOUT, VISIBLE
 
 BLOCKED = -2  # Hits.triangle of a shadow ray that an opaque triangle stops
 _EMPTY = -(2**31)
+# Arrays are only borrowed here: without it each call would count references to all of them, one atomic addition each,
+# which took half the time of a walk (and would make threads wait for each other).
+_KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
 _MISS = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**_KERNEL)
 def push_children(mask, node, children, entry, stack, stack_t, sp):
     """Of the children in `mask` (not 0), the nearest is returned and the others pushed, nearest on top.
 
@@ -56,7 +61,7 @@ def push_children(mask, node, children, entry, stack, stack_t, sp):
     return nearest, sp
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**_KERNEL)
 def _is_opaque(arrays, part, triangle):
     whole = arrays.part_opaque[part]
     if whole >= 0:
@@ -65,7 +70,7 @@ def _is_opaque(arrays, part, triangle):
     return arrays.slot_opaque[arrays.parts.first_slot[part] + min(max(slot, 0), arrays.parts.slots[part] - 1)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**_KERNEL)
 def walk_shape(
     arrays, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, stack, stack_t, sp, entry, lanes
 ):
@@ -148,12 +153,12 @@ def walk_shape(
     return best, t64, best_u, best_v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**_KERNEL)
 def _value_at(where, i):
     return where[0] + where[1] * i
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**_KERNEL)
 def combined_flags(instances, batch, i, flags):
     """Visibility and holdout bits of placement i of a batch below a path with `flags`."""
     where = instances.visibility[batch]
@@ -163,7 +168,7 @@ def combined_flags(instances, batch, i, flags):
     return (flags & own & VISIBLE) | ((flags | own) & HOLDOUT)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**_KERNEL)
 def child_group(instances, batch, i):
     """Index of the group that placement i of a batch places."""
     where = instances.group[batch]
@@ -173,7 +178,7 @@ def child_group(instances, batch, i):
     return np.int64(instances.batch_groups[first])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**_KERNEL)
 def _describe(arrays, chain, length, hits, n):
     """Fill what the chain of instance records says about hit n."""
     instances = arrays.instances
@@ -210,19 +215,12 @@ def _describe(arrays, chain, length, hits, n):
     hits.holdout[n] = (flags & HOLDOUT) != 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _trace(arrays, rays, hits, start, stop, any_hit):
+@njit(**_KERNEL)
+def _trace(arrays, rays, hits, scratch, start, stop, any_hit):
     """Both kinds of walk over rays[start:stop]."""
-    stack = np.empty(arrays.stack_size, np.int32)
-    stack_t = np.empty(arrays.stack_size, np.float32)
-    entry = np.empty(8, np.float32)
-    lanes = np.empty(24, np.float32)
-    levels = arrays.levels + 1
-    saved = np.empty((levels, 6), np.float64)  # the ray in the spaces of the groups above
-    saved_i = np.empty((levels, 3), np.int64)  # group, flags, bottom of the stack
-    saved_path = np.empty(levels, np.uint64)
-    chain = np.empty((levels, 2), np.int64)  # the instance records walked down, and their batches
-    best_chain = np.empty((levels, 2), np.int64)
+    stack, stack_t, entry, lanes = scratch.stack, scratch.stack_t, scratch.entry, scratch.lanes
+    saved, saved_i, saved_path = scratch.saved, scratch.saved_i, scratch.saved_path
+    chain, best_chain = scratch.chain, scratch.best_chain
     root = np.int64(len(arrays.group_root) - 1)
     instances = arrays.instances
     for n in range(start, stop):
@@ -329,6 +327,39 @@ def _trace(arrays, rays, hits, start, stop, any_hit):
             _describe(arrays, best_chain, best_length, hits, n)
 
 
+class Scratch(NamedTuple):
+    """Working memory of one call."""
+
+    stack: np.ndarray  # int32
+    stack_t: np.ndarray  # float32
+    entry: np.ndarray  # (8,) float32
+    lanes: np.ndarray  # (24,) float32
+    saved: np.ndarray  # (levels, 6) float64: the ray in the spaces of the groups above
+    saved_i: np.ndarray  # (levels, 3) int64: group, flags, bottom of the stack
+    saved_path: np.ndarray  # (levels,) uint64
+    chain: np.ndarray  # (levels, 2) int64: the instance records walked down, and their batches
+    best_chain: np.ndarray  # (levels, 2) int64
+
+
+def _run(
+    acceleration: Acceleration, rays: Rays, hits: Hits, start: int, stop: int | None, any_hit: bool
+) -> None:
+    arrays = acceleration.arrays
+    levels = arrays.levels + 1
+    scratch = Scratch(
+        np.empty(arrays.stack_size, np.int32),
+        np.empty(arrays.stack_size, np.float32),
+        np.empty(8, np.float32),
+        np.empty(24, np.float32),
+        np.empty((levels, 6)),
+        np.empty((levels, 3), np.int64),
+        np.empty(levels, np.uint64),
+        np.empty((levels, 2), np.int64),
+        np.empty((levels, 2), np.int64),
+    )
+    _trace(arrays, rays, hits, scratch, start, len(rays.origin) if stop is None else stop, any_hit)
+
+
 def intersect(
     acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0, stop: int | None = None
 ) -> None:
@@ -337,7 +368,7 @@ def intersect(
     Releases the GIL; may run in several threads at once on disjoint ranges. A ray with a direction that is zero or not
     finite hits nothing.
     """
-    _trace(acceleration.arrays, rays, hits, start, len(rays.origin) if stop is None else stop, False)
+    _run(acceleration, rays, hits, start, stop, False)
 
 
 def shadow(
@@ -347,4 +378,4 @@ def shadow(
 
     Otherwise the closest hit on a triangle whose material may be transparent (see acceleration.set_opaque), or -1.
     """
-    _trace(acceleration.arrays, rays, hits, start, len(rays.origin) if stop is None else stop, True)
+    _run(acceleration, rays, hits, start, stop, True)
