@@ -34,7 +34,7 @@ def _grid(side: int, normals: np.ndarray, attributes: dict[str, np.ndarray]):
     for name, values in attributes.items():
         kind = "FLOAT" if values.ndim == 1 else "FLOAT_VECTOR"
         field = "value" if values.ndim == 1 else "vector"
-        layer = mesh.attributes.new(name, kind, "FACE")
+        layer = mesh.attributes.new("probe_" + name, kind, "FACE")
         layer.data.foreach_set(field, np.ascontiguousarray(values, np.float32).ravel())
     return mesh
 
@@ -56,8 +56,10 @@ def _material(node_type: str, inputs: dict, attributes: dict, properties: dict, 
         socket.default_value = (*value, 1.0) if np.ndim(value) and len(socket.default_value) == 4 else value
     for name, values in attributes.items():
         node = tree.nodes.new("ShaderNodeAttribute")
-        node.attribute_name = name
-        tree.links.new(node.outputs["Fac" if values.ndim == 1 else "Vector"], shader.inputs[socket_name(name)])
+        node.attribute_name = "probe_" + name
+        tree.links.new(
+            node.outputs["Fac" if values.ndim == 1 else "Vector"], shader.inputs[socket_name(name)]
+        )
     output = tree.nodes.new("ShaderNodeOutputMaterial")
     tree.links.new(shader.outputs[0], output.inputs["Surface"])
     return material
@@ -120,7 +122,7 @@ def probe(
     cycles.blur_glossy = 0.0
     cycles.light_sampling_threshold = 0.0
     cycles.pixel_filter_type = "BOX"
-    cycles.max_bounces = 1
+    cycles.max_bounces = 1 if world else 0
     cycles.diffuse_bounces = 0
     scene.render.resolution_x = scene.render.resolution_y = side
     scene.render.resolution_percentage = 100

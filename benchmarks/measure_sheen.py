@@ -75,7 +75,9 @@ def _fit(x: np.ndarray, y: np.ndarray, z: np.ndarray, s: np.ndarray) -> tuple[np
         return (a / ((a * x + b * z) ** 2 + (a * y) ** 2 + z**2) - s) * weight
 
     grid_a, grid_b = (g.ravel() for g in np.meshgrid(np.geomspace(0.01, 1.5, 60), np.linspace(-1.0, 0.4, 57)))
-    best = np.array([(error(p, q) ** 2).sum(axis=0) for p, q in zip(grid_a, grid_b, strict=True)]).argmin(axis=0)
+    best = np.array([(error(p, q) ** 2).sum(axis=0) for p, q in zip(grid_a, grid_b, strict=True)]).argmin(
+        axis=0
+    )
     a, b = grid_a[best], grid_b[best]
     damping = np.full_like(a, 1e-3)
     cost = (error(a, b) ** 2).sum(axis=0)

@@ -1,6 +1,6 @@
-"""Build tables.npz: albedos of GGX by quadrature. Run `python -m pointmr_engine.shading.bsdf.build_tables`.
+"""Build tables.npz: albedos of GGX by quadrature, spectra of thin films.
 
-Sheen and thin film rows are kept from the present file; `benchmarks/measure_sheen.py` says where they come from.
+Run `python -m pointmr_engine.shading.bsdf.build_tables`. The sheen table is kept: `benchmarks/measure_sheen.py` makes it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from pointmr_engine.shading.bsdf.albedo_tables import PATH, Tables
 from pointmr_engine.shading.bsdf.fresnel import dielectric, f0_of_ior, ior_of_f0, remap
 from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.microfacet import _visible_ggx
+from pointmr_engine.shading.bsdf.thin_film import TABLE_RANGE
+from pointmr_engine.shading.spectra import RGB_FROM_XYZ, observer
 
 REFLECTION_SIZE = 32
 SIZE = 16
@@ -74,6 +76,16 @@ def average(roughness, ior, side, steps):
     return white / steps, glass / steps
 
 
+def film_table(size: int = 512) -> np.ndarray:
+    """(6, size): Fourier transforms of the colour matching functions, real then imaginary rgb, 1 at no path."""
+    wavelength = np.linspace(380.0, 780.0, 1601)
+    xyz = np.stack([np.interp(wavelength, np.linspace(380.0, 780.0, 81), x) for x in observer().T], axis=1)
+    rgb = xyz @ RGB_FROM_XYZ.T
+    path = np.linspace(0.0, TABLE_RANGE, size)
+    transform = np.exp(-2j * math.pi * path[:, None] / wavelength) @ (rgb / rgb.sum(axis=0))
+    return np.concatenate([transform.real.T, transform.imag.T])
+
+
 def build(side: int = 128, steps: int = 64) -> dict[str, np.ndarray]:
     """All tables of GGX, as in `Tables`."""
     n, m = REFLECTION_SIZE, SIZE
@@ -104,6 +116,7 @@ def build(side: int = 128, steps: int = 64) -> dict[str, np.ndarray]:
         "glass_average": glass_average,
         "schlick_dielectric": mix[None],
         "schlick": schlick[None],
+        "film": film_table(),
     }
 
 
@@ -112,9 +125,8 @@ def main() -> None:
     tables = build()
     if PATH.exists():
         with np.load(PATH) as old:
-            tables |= {name: old[name] for name in ("sheen", "film") if name in old}
+            tables["sheen"] = old["sheen"]
     tables.setdefault("sheen", np.zeros((3, 32, 32)))
-    tables.setdefault("film", np.zeros((6, 512)))
     np.savez_compressed(PATH, **{name: tables[name].astype(np.float32) for name in Tables._fields})
 
 
