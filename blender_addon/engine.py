@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import time
 import traceback
+import weakref
 
 import bpy
 
-from . import kernel_cache, passes
+from . import kernel_cache, observer, passes
 from .job import RenderJob
 from .report import Reporter
 
 POLL_SECONDS = 0.1  # how often Esc is looked at
 SHOW_SECONDS = 1.0  # how often a final render's unfinished image is shown
 PREVIEW_SAMPLES = 16  # of a material preview, which is small and asked for at every change
+_viewports = weakref.WeakSet()  # to be stopped when the add-on goes
 
 
 class PointMRRender(bpy.types.RenderEngine):
-    """Render engine POINTMR. Blender makes one instance per render job, per preview and per rendered
-    viewport.
-    """
+    """Engine POINTMR. Blender makes one instance per render job, per preview and per rendered viewport."""
 
     bl_idname = "POINTMR"
     bl_label = "PointMR"
@@ -35,11 +35,6 @@ class PointMRRender(bpy.types.RenderEngine):
         self.reporter = None
         self.viewport = None
 
-    def __del__(self):
-        viewport = getattr(self, "viewport", None)
-        if viewport is not None:
-            viewport.close()
-
     def update_render_passes(self, scene=None, renderlayer=None):
         for p in passes.list_passes(renderlayer):
             self.register_pass(scene, renderlayer, p.name, len(p.channels), p.channels, p.kind)
@@ -51,15 +46,17 @@ class PointMRRender(bpy.types.RenderEngine):
         from . import sync
 
         if self.reporter is None:
-            self.reporter = Reporter(self.report)
+            self.reporter = Reporter(self._say)
         self.scene = self.settings = None
         layer = depsgraph.view_layer_eval
+        observer.current.reading(layer.name)
         try:
             self.update_stats("", "PointMR: reading the scene")
             self.scene = sync.export(
-                depsgraph, report=self.reporter, cancel=self.test_break, progress=self._export_progress
+                depsgraph, report=self.reporter, cancel=self._stopped, progress=self._export_progress
             )
             self.settings = render_settings(depsgraph.scene_eval, layer, self)
+            observer.current.exported(layer.name, self.scene, self.settings)
         except sync.Cancelled:
             pass
         except Exception as error:
@@ -68,7 +65,7 @@ class PointMRRender(bpy.types.RenderEngine):
 
     def render(self, depsgraph):
         """Render what update() read, and give Blender the result."""
-        if self.scene is None or self.settings is None:
+        if self.scene is None or self.settings is None or self._stopped():
             return  # cancelled, or an error that is already shown
         scene, settings, self.scene = self.scene, self.settings, None
         layer = depsgraph.view_layer_eval
@@ -79,7 +76,17 @@ class PointMRRender(bpy.types.RenderEngine):
         finally:
             self.reporter.close()
 
+    def _stopped(self) -> bool:
+        return self.test_break() or observer.current.stopped()
+
+    def _say(self, levels, message):
+        if self.is_preview:
+            return  # a material's little picture must not interrupt the user
+        self.report(levels, message)
+        observer.current.message(min(levels), message)
+
     def _export_progress(self, fraction, text):
+        observer.current.progress(0.0, text or "reading the scene")
         self.update_stats("", f"PointMR: {text}" if text else "PointMR: reading the scene")
 
     def _render_layer(self, scene, settings, layer):
@@ -87,6 +94,9 @@ class PointMRRender(bpy.types.RenderEngine):
         if cold:
             self.reporter("INFO", "PointMR: the first render compiles its kernels, under a minute, once")
             self.reporter.flush()
+        for p in passes.list_passes(layer):
+            if p.key != "combined":  # which Blender always makes
+                self.add_pass(p.name, len(p.channels), p.channels, layer=layer.name)
         x0, y0, x1, y1 = settings.region or (0, 0, settings.width, settings.height)
         result = self.begin_result(0, 0, x1 - x0, y1 - y0, layer=layer.name)
         job = RenderJob(scene, settings)
@@ -96,22 +106,21 @@ class PointMRRender(bpy.types.RenderEngine):
             if finished:
                 write_passes(result, layer, job.frame)
                 self._stamp(settings, job.frame)
+                observer.current.finished(layer.name, job.frame)
         finally:
             job.cancel()
             self.end_result(result, cancel=not finished, do_merge_results=True)
         if finished:
             self.update_progress(1.0)
-            for warning in job.frame.stats.get("warnings", ()):
+            for warning in job.frame.warnings:
                 self.reporter("WARNING", warning)
 
     def _watch(self, job, result, layer, cold) -> bool:
-        """Show progress and finished tiles until the job is done; False when the user stopped it. Raises its
-        error.
-        """
+        """Show progress and tiles until the job is done; False when the user stopped it. Raises its error."""
         combined = pass_named(result, "Combined")
         image, shown = None, time.monotonic()
         while not job.wait(POLL_SECONDS):
-            if self.test_break():
+            if self._stopped():
                 job.cancel()
                 job.wait(0.5)  # tiles end well within this; a running compilation is left to end by itself
                 return False
@@ -120,6 +129,7 @@ class PointMRRender(bpy.types.RenderEngine):
                 text += " (compiling kernels, first time only)"
             self.update_stats("", f"PointMR: {text}")
             self.update_progress(job.fraction)
+            observer.current.progress(job.fraction, text)
             self.reporter.flush()
             if time.monotonic() - shown >= SHOW_SECONDS and combined is not None:
                 tiles = job.take_tiles()
@@ -129,7 +139,7 @@ class PointMRRender(bpy.types.RenderEngine):
                 shown = time.monotonic()
         if job.error is not None:
             raise job.error
-        return not self.test_break()
+        return not self._stopped()
 
     def _stamp(self, settings, frame):
         result = self.get_result()
@@ -140,9 +150,7 @@ class PointMRRender(bpy.types.RenderEngine):
                 result.stamp_data_add_field(f"PointMR {label}", str(frame.stats[key]))
 
     def _fail(self, error):
-        """Show an error where the user looks: in the render window and in the report. Bugs also leave their
-        traceback.
-        """
+        """Show an error where the user looks, in the render window and in the report; bugs leave a traceback."""
         from pointmr_engine.scene.errors import SceneError
 
         if isinstance(error, SceneError):
@@ -150,8 +158,8 @@ class PointMRRender(bpy.types.RenderEngine):
         else:
             traceback.print_exception(error)
             message = f"PointMR: {type(error).__name__}: {error}"
-        self.error_set(message)
-        self.report({"ERROR"}, message)
+        self.error_set(message)  # which Blender reports by itself
+        observer.current.message("ERROR", message)
 
     # Rendered viewport
 
@@ -166,6 +174,7 @@ class PointMRRender(bpy.types.RenderEngine):
             from .viewport import Viewport
 
             self.viewport = Viewport(self)
+            _viewports.add(self.viewport)
         return self.viewport
 
 
@@ -208,4 +217,11 @@ def show_tiles(target, tiles, image, result):
     return image
 
 
-register, unregister = bpy.utils.register_classes_factory((PointMRRender,))
+def register() -> None:
+    bpy.utils.register_class(PointMRRender)
+
+
+def unregister() -> None:
+    for viewport in list(_viewports):
+        viewport.close()
+    bpy.utils.unregister_class(PointMRRender)

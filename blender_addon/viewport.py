@@ -286,6 +286,7 @@ class Viewport:
             self.close()
             return None
         try:
+            engine.is_preview  # noqa: B018  raises once Blender has freed the engine under its Python object
             error = self._refiner.error
             text = self._message or (f"{type(error).__name__}: {error}" if error else self._refiner.text)
             if text != self._said:
@@ -295,7 +296,7 @@ class Viewport:
             picture = self._refiner.picture
             if picture is not None and picture.version != self._drawn:
                 engine.tag_redraw()
-        except ReferenceError:  # Blender has freed the engine under its Python object
+        except ReferenceError:
             self.close()
             return None
         return POLL_SECONDS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from blender_addon.sync.images import ImageSync
-from blender_addon.sync.nodes import translate
+from .images import ImageSync
+from .nodes import translate
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.material import Material
 

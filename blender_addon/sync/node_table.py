@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from blender_addon.sync.node_params import PARAMS
+from .node_params import PARAMS
 
 
 def snake(identifier: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from blender_addon.sync.node_table import Rule, params_of, rule_of
+from .node_table import Rule, params_of, rule_of
 from pointmr_engine.scene.graph import Graph, Link, Node
 
 _WRAPPERS = {"VALUE": "value", "INT": "value", "BOOLEAN": "value", "RGBA": "rgb", "VECTOR": "identity_vector"}

@@ -7,12 +7,9 @@ from bpy.types import Panel
 
 from .common import PointMRPanel, split_layout
 
-ABOVE_BLENDERS = -1  # Blender's Simplify panel is registered earlier, and would stand first
-
 
 class POINTMR_RENDER_PT_sampling(PointMRPanel, Panel):
     bl_label = "Sampling"
-    bl_order = ABOVE_BLENDERS
 
     def draw(self, context):
         split_layout(self).prop(context.scene.pointmr, "method")
@@ -51,7 +48,6 @@ class POINTMR_RENDER_PT_sampling_advanced(PointMRPanel, Panel):
 
 class POINTMR_RENDER_PT_light_paths(PointMRPanel, Panel):
     bl_label = "Light Paths"
-    bl_order = ABOVE_BLENDERS
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
@@ -94,9 +90,43 @@ class POINTMR_RENDER_PT_light_paths_caustics(PointMRPanel, Panel):
         col.prop(settings, "caustics_refractive", text="Refractive")
 
 
+class POINTMR_RENDER_PT_simplify(PointMRPanel, Panel):
+    bl_label = "Simplify"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.render, "use_simplify", text="")
+
+    def draw(self, context):
+        pass
+
+
+class POINTMR_RENDER_PT_simplify_viewport(PointMRPanel, Panel):
+    bl_label = "Viewport"
+    bl_parent_id = "POINTMR_RENDER_PT_simplify"
+
+    def draw(self, context):
+        render = context.scene.render
+        layout = split_layout(self)
+        layout.active = render.use_simplify
+        layout.prop(render, "simplify_subdivision", text="Max Subdivision")
+        layout.prop(render, "simplify_child_particles", text="Child Particles")
+
+
+class POINTMR_RENDER_PT_simplify_render(PointMRPanel, Panel):
+    bl_label = "Render"
+    bl_parent_id = "POINTMR_RENDER_PT_simplify"
+
+    def draw(self, context):
+        render = context.scene.render
+        layout = split_layout(self)
+        layout.active = render.use_simplify
+        layout.prop(render, "simplify_subdivision_render", text="Max Subdivision")
+        layout.prop(render, "simplify_child_particles_render", text="Child Particles")
+
+
 class POINTMR_RENDER_PT_film(PointMRPanel, Panel):
     bl_label = "Film"
-    bl_order = ABOVE_BLENDERS
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
@@ -120,7 +150,6 @@ class POINTMR_RENDER_PT_film_pixel_filter(PointMRPanel, Panel):
 
 class POINTMR_RENDER_PT_performance(PointMRPanel, Panel):
     bl_label = "Performance"
-    bl_order = ABOVE_BLENDERS
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
@@ -165,6 +194,9 @@ classes = (
     POINTMR_RENDER_PT_light_paths_max_bounces,
     POINTMR_RENDER_PT_light_paths_clamping,
     POINTMR_RENDER_PT_light_paths_caustics,
+    POINTMR_RENDER_PT_simplify,
+    POINTMR_RENDER_PT_simplify_viewport,
+    POINTMR_RENDER_PT_simplify_render,
     POINTMR_RENDER_PT_film,
     POINTMR_RENDER_PT_film_pixel_filter,
     POINTMR_RENDER_PT_performance,

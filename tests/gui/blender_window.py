@@ -1,7 +1,7 @@
 """A real Blender with its window on a virtual screen, driven from outside.
 
-POINTMR_GUI_BLENDER says where it is: a Blender executable (Xvfb's xvfb-run and xdotool must be installed beside), or a folder
-that is the root of an installation with all three, entered by chroot (needs root rights; all mounts are private).
+POINTMR_GUI_BLENDER says where it is: a Blender executable (Xvfb's xvfb-run and xdotool must be installed beside), or a
+folder that is the root of an installation with all three, entered by chroot (needs root rights; mounts are private).
 POINTMR_GUI_PYTHONPATH: further folders for Blender's Python, e.g. one that holds OpenEXR or numba.
 """
 

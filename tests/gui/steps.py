@@ -1,7 +1,7 @@
 """Inside Blender: run a test session step by step, between redraws, and write down what was seen.
 
-A session is a generator function: it acts as a user, and yields the seconds to wait (the window lives on meanwhile), or a
-function to wait for until it returns true.
+A session is a generator function: it acts as a user, and yields the seconds to wait (the window lives on meanwhile), or
+a function to wait for until it returns true.
 """
 
 from __future__ import annotations

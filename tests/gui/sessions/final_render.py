@@ -30,9 +30,7 @@ def session():
     yield lambda: progress["complete"] == 1
     yield 1.0
     steps.screenshot("f12")
-    image = bpy.data.images["Render Result"]
-    steps.values["size"] = list(image.size)
-    image.save_render(str(steps.SHARED / "f12_result.png"))
+    bpy.data.images["Render Result"].save_render(str(steps.SHARED / "f12_result.png"))
 
     # The render window takes the mouse and the keys from now on.
     bpy.context.scene.pointmr.samples = 1 << 20

@@ -29,7 +29,7 @@ def session():
     steps.screenshot("material_tab")
     # The preview panel is closed at first, above the surface panel: open it by its header.
     steps.values["panel"] = hasattr(bpy.types, "MATERIAL_PT_preview")
-    steps.click(region.x + region.width * 0.3, region.y + region.height - 160)
+    steps.click(region.x + region.width * 0.3, region.y + region.height - 175)
     yield lambda: bool(previews)
     yield 2.0
     steps.screenshot("preview")
