@@ -7,8 +7,8 @@ import os
 import sys
 from pathlib import Path
 
-from blender_addon import batch
-from blender_addon.headless import FAILED, INTERRUPTED, CommandError
+from . import batch
+from .headless import FAILED, INTERRUPTED, CommandError
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -20,7 +20,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"pointmr: error: {error}", file=sys.stderr)
         return error.code
     except KeyboardInterrupt:
-        print("pointmr: interrupted; finished frames are kept", file=sys.stderr)
+        if not getattr(options, "worker", False):  # whose parent says it for all
+            print("pointmr: interrupted; finished frames are kept", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -119,13 +120,13 @@ def _frames(text: str) -> list[int]:
 
 
 def _run_render(options: argparse.Namespace) -> int:
-    from blender_addon.command.render import command_render
+    from .command.render import command_render
 
     return command_render(options)
 
 
 def _run_info(options: argparse.Namespace) -> int:
-    from blender_addon.command.info import command_info
+    from .command.info import command_info
 
     return command_info(options)
 

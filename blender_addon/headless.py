@@ -139,9 +139,9 @@ def load_bpy():
         raise CommandError(
             f"Blender's Python module does not load ({error}); install it with: pip install 'pointmr[blender]'"
         ) from error
-    import blender_addon
+    from . import register
 
-    blender_addon.register()
+    register()
     return bpy
 
 

@@ -6,8 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from blender_addon.command.report import plain
-from blender_addon.headless import (
+from ..headless import (
     BAD_INPUT,
     CommandError,
     FrameObserver,
@@ -15,6 +14,7 @@ from blender_addon.headless import (
     open_blend,
     run_render,
 )
+from .report import plain
 
 
 def command_info(a: argparse.Namespace) -> int:

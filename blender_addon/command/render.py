@@ -9,9 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from blender_addon import batch
-from blender_addon.command.report import Report, count, plain
-from blender_addon.headless import (
+from .. import batch
+from ..headless import (
     FAILED,
     UNWRITABLE,
     CommandError,
@@ -27,6 +26,7 @@ from blender_addon.headless import (
     peak_memory,
     render_frame,
 )
+from .report import Report, count, plain
 
 
 def _options(a: argparse.Namespace) -> Options:
@@ -128,7 +128,7 @@ def render_in_processes(a: argparse.Namespace, frames, several: bool, report: Re
             arguments += [f"--{name}", str(getattr(a, name))]
     if a.size is not None:
         arguments += ["--size", f"{a.size[0]}x{a.size[1]}"]
-    threads = a.threads if a.threads is not None else max((os.cpucount() or 1) // a.jobs, 1)
+    threads = a.threads if a.threads is not None else max((os.cpu_count() or 1) // a.jobs, 1)
     arguments += ["--threads", str(threads)]
     arguments += [f"--{name}" for name in ("png", "half", "compositing", "scripts") if getattr(a, name)]
     arguments += ["--frames", f"{frames[0]}-{frames[-1]}"] if several else []

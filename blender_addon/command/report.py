@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from blender_addon.headless import Options
+from ..headless import Options
 
 
 class Report:
