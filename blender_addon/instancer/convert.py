@@ -6,7 +6,9 @@ import bpy
 import numpy as np
 from bpy.types import Operator
 
+from ..sync import children as child_instancing
 from ..sync import instances
+from ..sync.geometry import has_nodes
 from ..sync.transforms import matrix
 
 TREE_MARK = "pointmr_instances"  # custom property of node groups that `to_native` made
@@ -128,7 +130,7 @@ def unbake_points(ob) -> bpy.types.Object:
 
 def native_instances(evaluated, ob, depsgraph):
     """(object_from_instance (N, 3, 4), source of each (N,), sources: original objects and collections)."""
-    if evaluated.instance_type in {"VERTS", "FACES"} and not instances.has_nodes(ob):
+    if evaluated.instance_type in {"VERTS", "FACES"} and not has_nodes(ob):
         children = [c for c in ob.children_recursive if c.type != "META"]
         return child_instances(evaluated, children, depsgraph)
     if not hasattr(evaluated, "evaluated_geometry"):
@@ -171,12 +173,12 @@ def plain_reference(reference):
 def child_instances(evaluated, children, depsgraph):
     """`native_instances` of children on vertices or faces."""
     mesh = evaluated.data
-    linear, positions = instances.dupli_frames(evaluated, mesh)
+    linear, positions = child_instancing.dupli_frames(evaluated, mesh)
     to_object = np.linalg.inv(matrix(evaluated.matrix_world))
     at, choice = [], []
     for i, child in enumerate(children):
         relative = to_object @ matrix(child.evaluated_get(depsgraph).matrix_world)
-        at.append(instances.child_transforms(evaluated, child, relative, linear, positions))
+        at.append(child_instancing.child_transforms(evaluated, child, relative, linear, positions))
         choice.append(np.full(len(positions), i, np.int32))
     if not children:
         return np.empty((0, 3, 4)), np.empty(0, np.int32), []

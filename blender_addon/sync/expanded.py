@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from pointmr_engine.scene.group import VISIBLE
 
-from . import instances, visibility
+from . import seeds, visibility
+from .geometry import has_nodes, instances_particles
 from .transforms import matrix
 
 
@@ -22,7 +21,7 @@ def needs_expansion(sync, ob, path: frozenset = frozenset()) -> bool:
     if ob.as_pointer() in path:
         return False
     path |= {ob.as_pointer()}
-    if instances.has_nodes(ob) or instances.instances_particles(ob):
+    if has_nodes(ob) or instances_particles(ob):
         return True
     members = []
     if ob.instance_type == "COLLECTION" and ob.instance_collection is not None:
@@ -49,21 +48,21 @@ def place(sync, objects: list, rows) -> set[int]:
             # geometry nodes hand out objects that live for this step only: keep what their mesh gave
             key = ob.data.as_pointer()
             if key not in meshes:
-                mesh = sync.meshes.get(
-                    ob.data, sync.meshes.slot_materials.of_object(ob, ob.data), ob.name, stable=False
+                mesh = sync.geometry.meshes.get(
+                    ob.data, sync.geometry.meshes.slot_materials.of_object(ob, ob.data), ob.name, stable=False
                 )
-                meshes[key] = sync._group_of_mesh(mesh)
+                meshes[key] = sync.geometry.group_of_mesh(mesh)
             group = meshes[key]
-            own = None if group is None else sync.placed(ob, group)
+            own = None if group is None else sync.geometry.placed(ob, group)
         elif ob.type == "MESH" or (item.is_instance and ob.type == "LIGHT") or not item.is_instance:
-            own = sync.own(ob) if ob.type in {"MESH", "LIGHT", "CURVES", "POINTCLOUD"} else None
+            own = sync.geometry.own(ob) if ob.type in {"MESH", "LIGHT", "CURVES", "POINTCLOUD"} else None
         else:
             own = None
         if own is None:
             continue
         seen, holdout = flags[top]
         seed = item.random_id & 0xFFFFFFFF if item.is_instance else 0
-        world = np.array(matrix(item.matrix_world))
+        world = matrix(item.matrix_world)
         placed = own.moved(world)._replace(visibility=own.visibility & seen & VISIBLE | holdout)
-        rows.add(placed, seed or instances.seeds.object_seed(ob.name))
+        rows.add(placed, seed or seeds.object_seed(ob.name))
     return set(wanted)

@@ -14,7 +14,7 @@ def place(sync, ob, collection) -> list[Placed]:
     settings = ob.pointmr
     if settings.instance_on == "ORIGIN":
         return sync.collection(collection)
-    points = point_transforms(ob, sync.geometry_set, sync.watch)
+    points = point_transforms(ob, sync.geometry.geometry_set, sync.watch)
     if points is None:
         sync.watch.warn(f"object '{ob.name}': it has no points to instance on")
         return []
@@ -24,7 +24,7 @@ def place(sync, ob, collection) -> list[Placed]:
     whole = sync.collection(collection)
     ids = np.arange(n)
     values = {}
-    for name in sorted(sync.names.instancers):
+    for name in sorted(sync.geometry.names.instancers):
         stored = data.attributes.get(name)
         if stored is not None and stored.domain == "POINT":
             read = attributes.read_values(stored)
