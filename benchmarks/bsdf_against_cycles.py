@@ -137,12 +137,14 @@ def compare(
         properties,
         correction,
     )
+    leaf |= {name: drawn[name] for name in ("tangent", "coat_normal") if name in drawn}
     result, lb = ours(kind, normals, light, {**constants, **drawn}, correction=correction, **leaf)
     return result, reference, lb
 
 
 WHITE_RANGE = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 ROUGH = {"roughness": (0.15, 1.0)}
+TANGENTS = ((0.2, -1.0, -1.0), (1.0, 1.0, 1.0))
 UP, LOW, BEHIND = (0.3, 0.2, 0.93), (0.85, -0.1, 0.4), (-0.2, 0.1, -0.97)
 P = leaves.PRINCIPLED
 SETTINGS = {
@@ -219,6 +221,45 @@ SETTINGS = {
             "base_color": WHITE_RANGE,
             **ROUGH,
         },
+    ),
+    "anisotropic": (
+        P,
+        UP,
+        {"metallic": 0.5},
+        {"anisotropic": (0.0, 1.0), "anisotropic_rotation": (0.0, 1.0), "tangent": TANGENTS, **ROUGH},
+    ),
+    "glossy anisotropic": (
+        leaves.GLOSSY,
+        UP,
+        {},
+        {"anisotropy": (-1.0, 1.0), "rotation": (0.0, 1.0), "tangent": TANGENTS, **ROUGH},
+        {"distribution": "MULTI_GGX"},
+    ),
+    "glossy anisotropic beckmann": (
+        leaves.GLOSSY,
+        UP,
+        {},
+        {"anisotropy": (-0.5, 0.5), "tangent": TANGENTS, **ROUGH},
+        {"distribution": "BECKMANN"},
+    ),
+    "glossy anisotropic ashikhmin": (
+        leaves.GLOSSY,
+        UP,
+        {},
+        {"anisotropy": (-0.5, 0.5), "tangent": TANGENTS, **ROUGH},
+        {"distribution": "ASHIKHMIN_SHIRLEY"},
+    ),
+    "coat over a bumped base": (
+        P,
+        UP,
+        {"coat_weight": 1.0, "coat_roughness": 0.4, "sheen_weight": 0.5},
+        ROUGH,
+    ),
+    "coat bumped apart": (
+        P,
+        UP,
+        {"coat_weight": 1.0, "coat_roughness": 0.4, "sheen_weight": 0.5},
+        {"coat_normal": ((-0.5, -0.5, 0.8), (0.5, 0.5, 1.0)), **ROUGH},
     ),
     "everything": (
         P,

@@ -1,6 +1,7 @@
 """Build tables.npz: albedos of GGX by quadrature, spectra of thin films.
 
-Run `python -m pointmr_engine.shading.bsdf.build_tables`. The sheen table is kept: `benchmarks/measure_sheen.py` makes it.
+Run `python -m pointmr_engine.shading.bsdf.build_tables`. The sheen table is kept; it comes from
+`benchmarks/measure_sheen.py`.
 """
 
 from __future__ import annotations
