@@ -7,12 +7,14 @@ A worker reads frame numbers from its standard input, one per line, and answers 
 from __future__ import annotations
 
 import json
+import os
 import queue
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 GRACE = 5.0  # seconds that workers get to stop by themselves
 
@@ -49,14 +51,8 @@ class Worker:
         self.frame: int | None = None
         self.ending = False
         # a session of its own: Ctrl-C reaches the parent only, which then stops its workers in order
-        self.process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-            start_new_session=True,
-        )
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
+        self.process = subprocess.Popen(command, env=_environment(), start_new_session=True, **pipes)
         threading.Thread(target=self._listen, args=(events,), daemon=True).start()
 
     def _listen(self, events: queue.Queue) -> None:
@@ -89,6 +85,13 @@ class Worker:
         """Ask it to drop its frame."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
+
+
+def _environment() -> dict[str, str]:
+    """This process' environment, in which a child finds the same packages, whatever folder it starts in."""
+    root = str(Path(__file__).resolve().parents[1])
+    path = os.environ.get("PYTHONPATH")
+    return {**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{path}" if path else root}
 
 
 def worker_command(arguments: list[str]) -> list[str]:

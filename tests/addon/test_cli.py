@@ -227,8 +227,7 @@ def test_processes_render_the_same_images(blend, tmp_path):
         (["render", "BLIND", "-f", "1-4", "--jobs", "2"], 1, "has no camera"),
     ],
 )
-def test_errors_are_named_and_nothing_is_left(arguments, code, words, blend, tmp_path, capfd, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+def test_errors_are_named_and_nothing_is_left(arguments, code, words, blend, tmp_path, capfd):
     (tmp_path / "file").write_text("not a folder")
     (tmp_path / "broken.blend").write_bytes(blend.read_bytes()[:2000])
     before = files_in(tmp_path)
