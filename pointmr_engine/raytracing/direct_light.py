@@ -1,0 +1,151 @@
+"""Direct light: one light sample per point, weighed against the BSDF, and its shadow ray through what is transparent."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.image.film import clamp_light
+from pointmr_engine.numerics.rng import sample_4d
+from pointmr_engine.raytracing import walk
+from pointmr_engine.raytracing.light_sampling import NONE, LightSamples
+from pointmr_engine.raytracing.paths import FINAL, Limits, Paths, Samples
+from pointmr_engine.raytracing.rays import Hits, Rays, allocate_rays
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
+from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION
+from pointmr_engine.shading.lobes import evaluate
+
+_SHORT = 1.0 - 1e-6  # shadow rays end this much before the light, so as not to meet what it is made of
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+class ShadowRays(NamedTuple):
+    """Shadow rays and what they would add to a sample's radiance."""
+
+    rays: Rays
+    light: np.ndarray  # (N, 3) float64
+    slot: np.ndarray  # (N,) int32
+    passed: np.ndarray  # (N,) int32: transparent surfaces so far
+    source: np.ndarray  # (N,) int32: row of the path that it belongs to
+
+
+def allocate_shadow_rays(n: int) -> ShadowRays:
+    """Room for n shadow rays."""
+    zeros = (np.zeros(n, np.int32) for _ in range(3))
+    return ShadowRays(allocate_rays(n), np.zeros((n, 3)), *zeros)
+
+
+@_jit
+def choose_points(paths: Paths, samples: Samples, lobes, frames, tables, bounce, alive, n, rows, position, normal, transmissive, u):  # noqa: E501
+    """The points of paths 0..n that light samples are worth it for, with their random numbers; returns how many."""
+    m = 0
+    for k in range(n):
+        if not alive[k] or not lobes.flags[k] & HAS_EVALUATION or paths.flags[k] & FINAL:
+            continue
+        rows[m] = k
+        position[m] = frames.position[k]
+        normal[m] = lobes.normal[k]
+        transmissive[m] = (lobes.flags[k] & HAS_TRANSMISSION) != 0
+        slot = paths.slot[k]
+        u0, u1, u2, _ = sample_4d(tables, samples.seed[slot], 2 * bounce + 1, samples.number[slot])
+        u[m, 0], u[m, 1], u[m, 2] = u0, u1, u2
+        m += 1
+    return m
+
+
+@_jit
+def connect(paths: Paths, hits: Hits, frames, lobes, limits: Limits, lights: LightSamples, rows, m, out: ShadowRays):
+    """Shadow rays for light samples 0..m of paths `rows`, those that could add anything; returns how many."""
+    n = 0
+    for i in range(m):
+        if lights.kind[i] == NONE or not lights.pdf[i] > 0.0:
+            continue
+        k = rows[i]
+        light = lights.radiance[i]
+        if light[0] == 0 and light[1] == 0 and light[2] == 0:
+            continue
+        d = paths.rays.direction[k]
+        wo = (lights.direction[i, 0], lights.direction[i, 1], lights.direction[i, 2])
+        diffuse, glossy, transmission, pdf = evaluate(lobes, k, (-d[0], -d[1], -d[2]), wo)
+        seen = lights.visibility[i]
+        f0, f1, f2 = 0.0, 0.0, 0.0
+        if seen & DIFFUSE:
+            f0, f1, f2 = f0 + diffuse[0], f1 + diffuse[1], f2 + diffuse[2]
+        if seen & GLOSSY:
+            f0, f1, f2 = f0 + glossy[0], f1 + glossy[1], f2 + glossy[2]
+        if seen & TRANSMISSION:
+            f0, f1, f2 = f0 + transmission[0], f1 + transmission[1], f2 + transmission[2]
+        weight = 1.0 / lights.pdf[i]
+        if lights.mis[i]:
+            ratio = pdf / lights.pdf[i]
+            weight /= 1.0 + ratio * ratio
+        t = paths.throughput[k]
+        r, g, b = t[0] * f0 * light[0] * weight, t[1] * f1 * light[1] * weight, t[2] * f2 * light[2] * weight
+        if not (max(abs(r), abs(g), abs(b)) > 0.0 and math.isfinite(r + g + b)):
+            continue
+        limit = limits.clamp_direct if paths.state.depth[k] == 0 else limits.clamp_indirect
+        r, g, b = clamp_light(r, g, b, limit)
+        out.light[n, 0], out.light[n, 1], out.light[n, 2] = r, g, b
+        out.slot[n] = paths.slot[k]
+        out.source[n] = k
+        out.passed[n] = paths.state.transparent_depth[k]
+        for a in range(3):
+            out.rays.origin[n, a] = frames.position[k, a]
+            out.rays.direction[n, a] = wo[a]
+        out.rays.t_min[n] = frames.offset[k]
+        # a lamp without shadows is met by a ray that has no length
+        out.rays.t_max[n] = lights.distance[i] * _SHORT if lights.cast_shadow[i] else 0.0
+        out.rays.visibility[n] = SHADOW
+        out.rays.skip_triangle[n] = hits.triangle[k]
+        out.rays.skip_path[n] = hits.path[k]
+        n += 1
+    return n
+
+
+@_jit
+def settle(shadows: ShadowRays, hits: Hits, samples: Samples, limit, n, waiting):
+    """Add the light of shadow rays 0..n that nothing stops; rows that a transparent surface meets go to `waiting`."""
+    m = 0
+    for i in range(n):
+        if hits.triangle[i] == walk.BLOCKED:
+            continue
+        if hits.triangle[i] >= 0:
+            if shadows.passed[i] < limit:
+                waiting[m] = i
+                m += 1
+            continue
+        slot = shadows.slot[i]
+        for a in range(3):
+            samples.radiance[slot, a] += shadows.light[i, a]
+    return m
+
+
+@_jit
+def dim(shadows: ShadowRays, hits: Hits, frames, waiting, m, share):
+    """Shadow rays waiting[0..m] pass their surface, which lets share (m, 3) through; packed to rows 0.. that go on."""
+    n = 0
+    for j in range(m):
+        i = waiting[j]
+        r = shadows.light[i, 0] * share[j, 0]
+        g = shadows.light[i, 1] * share[j, 1]
+        b = shadows.light[i, 2] * share[j, 2]
+        if r == 0.0 and g == 0.0 and b == 0.0:
+            continue
+        shadows.light[n, 0], shadows.light[n, 1], shadows.light[n, 2] = r, g, b
+        shadows.slot[n] = shadows.slot[i]
+        shadows.source[n] = shadows.source[i]
+        shadows.passed[n] = shadows.passed[i] + 1
+        rays = shadows.rays
+        rays.origin[n] = rays.origin[i]
+        rays.direction[n] = rays.direction[i]
+        rays.t_min[n] = hits.t[i] + frames.offset[i]
+        rays.t_max[n] = rays.t_max[i]
+        rays.visibility[n] = rays.visibility[i]
+        rays.skip_triangle[n] = hits.triangle[i]
+        rays.skip_path[n] = hits.path[i]
+        n += 1
+    return n

@@ -1,0 +1,272 @@
+"""The tile integrator: paths move through the stages of a wavefront, bounce after bounce, until none is left.
+
+It serves `distributed` (many random paths a pixel) and `conventional` (one, through the pixel's centre and the lens'
+centre): they differ in the settings that they hand over. A workspace belongs to one thread.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pointmr_engine.hierarchy.acceleration import Acceleration
+from pointmr_engine.image import film
+from pointmr_engine.needs import Needs
+from pointmr_engine.numerics.rng import sobol_tables
+from pointmr_engine.raytracing import direct_light, paths, walk
+from pointmr_engine.raytracing.camera import CameraArrays, sample_rays, window_coordinates
+from pointmr_engine.raytracing.light_sampling import LightSamples, allocate_light_samples
+from pointmr_engine.raytracing.lights import Lights
+from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits, Samples
+from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits
+from pointmr_engine.raytracing.shade import Shader, allocate_view, fill_view
+from pointmr_engine.raytracing.surface import RayState, allocate_frames, allocate_ray_state, frames
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.scene.settings import RenderSettings
+from pointmr_engine.shading import lobes as lobe_kernels
+from pointmr_engine.shading.points import RAY_SHADOW
+
+BATCH = 16384  # paths that move together: enough to make numpy's overhead small, few enough for the cache
+
+
+@dataclass(eq=False)
+class Stage:
+    """All that the integrator reads; the same for every thread."""
+
+    acceleration: Acceleration
+    shader: Shader
+    lights: Lights
+    camera: CameraArrays
+    settings: RenderSettings
+    needs: Needs
+    limits: Limits
+    materials_index: np.ndarray  # (materials,) int32 pass index
+    footprint_scale: float  # of the pixel, that one of its rays stands for
+    tables: tuple = field(default_factory=sobol_tables)
+
+
+class Workspace:
+    """One thread's arrays for batches of up to `n` paths, and its counters."""
+
+    def __init__(self, stage: Stage, n: int):
+        camera_from_world = stage.camera.camera_from_world
+        self.stage = stage
+        self.size = n
+        self.samples = paths.allocate_samples(n)
+        self.queues = [paths.allocate_paths(n, camera_from_world), paths.allocate_paths(n, camera_from_world)]
+        self.hits = allocate_hits(n)
+        self.frames = allocate_frames(n)
+        self.view = allocate_view(n)
+        self.lobes = lobe_kernels.allocate(n, stage.needs.max_lobes, stage.shader.tables)
+        self.order = np.zeros(n, np.int64)
+        self.counters: Counter = Counter()
+        if stage.needs.light_samples:
+            self.lit_rows = np.zeros(n, np.int32)
+            self.lit_position = np.zeros((n, 3))
+            self.lit_normal = np.zeros((n, 3), np.float32)
+            self.lit_transmissive = np.zeros(n, np.bool_)
+            self.lit_u = np.zeros((n, 3))
+            self.light_samples = allocate_light_samples(n)
+            self.shadows = direct_light.allocate_shadow_rays(n)
+            self.shadow_hits = allocate_hits(n)
+            self.waiting = np.zeros(n, np.int32)
+        if stage.needs.transparent_shadows and stage.needs.light_samples:
+            self.shadow_frames = allocate_frames(n)
+            self.shadow_state = allocate_ray_state(n, camera_from_world)
+            self.shadow_state.kind[:] = RAY_SHADOW
+
+    def render_tile(self, tile: film.TileSums, first: int, count: int) -> None:
+        """Add samples first..first+count of all the tile's pixels to its sums. At most `size` paths."""
+        stage = self.stage
+        x0, y0, x1, y1 = (int(v) for v in tile.bounds)
+        n = total = paths.lay_out(self.samples, x0, y0, x1, y1, first, count)
+        now, then = self.queues
+        paths.start_paths(now, n)
+        s = self.samples
+        sample_rays(
+            stage.camera, stage.tables, stage.settings.seed, s.x, s.y, s.number,
+            now.rays, s.seed, now.state.width, now.state.spread, 0, n,
+        )  # fmt: skip
+        self.counters["camera_rays"] += n
+        bounce = 0
+        while n:
+            n = self._bounce(tile, now, then, n, bounce)
+            now, then = then, now
+            bounce += 1
+        film.add_light(tile, s.pixel, s.radiance, s.transparency, 0, total)
+
+    def _bounce(self, tile, now, then, n: int, bounce: int) -> int:
+        """Move n paths from surface to surface; returns how many go on, in `then`."""
+        stage, hits, surface = self.stage, self.hits, self.frames
+        rays, state = Rays(*(a[:n] for a in now.rays)), now.state
+        walk.intersect(stage.acceleration, now.rays, hits, 0, n)
+        if bounce:
+            self.counters["scattered_rays"] += n
+        frames(stage.shader.geometry, now.rays, hits, surface, 0, n)
+        alive = hits.triangle[:n] >= 0
+        self._met_lights(now, rays, n, alive, bounce)
+        final = (now.flags[:n] & FINAL) != 0
+        np.logical_and(alive, ~(final & stage.shader.dull[surface.material[:n]]), out=alive)
+        if not alive.any():
+            return 0
+        if stage.needs.window and bounce == 0:
+            state.window[:n] = window_coordinates(stage.camera, surface.position[:n])
+        fill_view(now.rays, state.kind, surface, self.view, n)
+        stage.shader.lobes_at(now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes)
+        self.counters["shaded_points"] += int(alive.sum())
+        paths.hold_out(now, self.samples, hits, self.lobes, alive, n)
+        self._emission(tile, now, rays, n, alive)
+        if bounce <= stage.limits.transparent and stage.needs.surface_passes:
+            self._surface_passes(tile, now, n, alive)
+        paths.finish_final(now, self.lobes, alive, n)
+        paths.roulette(now, self.samples, stage.tables, bounce, alive, n)
+        if stage.needs.light_samples:
+            self._direct_light(now, n, alive, bounce)
+        return paths.advance(
+            now, self.samples, hits, surface, self.lobes, stage.limits, stage.tables, bounce, alive, then, n
+        )
+
+    def _met_lights(self, now, rays: Rays, n: int, alive, bounce: int) -> None:
+        """Lamps that the rays pass, and the world where they hit nothing."""
+        stage, lights = self.stage, self.stage.lights
+        ones = np.ones(n)
+        if len(lights.arrays.met_lamps):
+            met = np.zeros((n, 3), np.float32)
+            lights.seen_lamps(
+                rays.origin, rays.direction, self.hits.t[:n], rays.visibility, now.origin_normal[:n],
+                now.origin_transmissive[:n], now.bsdf_pdf[:n], met,
+            )  # fmt: skip
+            paths.add_radiance(now, self.samples, stage.limits, met, ones, n)
+        missed = ~alive
+        if not missed.any():
+            return
+        if stage.settings.film_transparent:
+            paths.see_through(now, self.samples, missed, n)
+            missed &= (now.flags[:n] & BACKDROP) == 0
+        if lights.environment.black:
+            return
+        radiance = np.zeros((n, 3), np.float32)
+        weight = np.zeros(n)
+        for bit in (CAMERA, DIFFUSE, GLOSSY, TRANSMISSION):
+            rows = np.flatnonzero(missed & (rays.visibility == bit))
+            if not len(rows):
+                continue
+            direction = rays.direction[rows]
+            radiance[rows] = lights.world_radiance(direction, bit)
+            if bit == CAMERA:
+                weight[rows] = 1.0
+            else:
+                weight[rows] = lights.world_weight(
+                    rays.origin[rows], now.origin_normal[rows], now.origin_transmissive[rows], direction,
+                    now.bsdf_pdf[rows],
+                )  # fmt: skip
+        paths.add_radiance(now, self.samples, stage.limits, radiance, weight, n)
+
+    def _emission(self, tile, now, rays: Rays, n: int, alive) -> None:
+        """Light that the surfaces emit, weighed against the light samples that could have found it."""
+        emission = self.lobes.emission[:n]
+        rows = np.flatnonzero(alive & emission.any(1))
+        if not len(rows):
+            return
+        weight = np.zeros(n)
+        hits = self.hits
+        weight[rows] = self.stage.lights.emitter_weight(
+            hits.path[rows], hits.triangle[rows], rays.origin[rows], now.origin_normal[rows],
+            now.origin_transmissive[rows], rays.direction[rows], hits.t[rows], now.bsdf_pdf[rows],
+        )  # fmt: skip
+        paths.add_radiance(now, self.samples, self.stage.limits, emission, weight, n)
+        if len(tile.emission):
+            first = rows[(now.flags[rows] & BACKDROP) != 0]
+            film.add_averages(
+                tile.emission, self.samples.pixel[now.slot[first]], emission[first] * now.throughput[first], 0,
+                len(first),
+            )  # fmt: skip
+
+    def _surface_passes(self, tile, now, n: int, alive) -> None:
+        """What the passes keep of the first surfaces, those that transparent ones let through included."""
+        rows = np.flatnonzero(alive & ((now.flags[:n] & BACKDROP) != 0))
+        if not len(rows):
+            return
+        samples, surface, lobes = self.samples, self.frames, self.lobes
+        pixel = samples.pixel[now.slot[rows]]
+        if len(tile.diffuse_color):
+            film.add_averages(
+                tile.diffuse_color, pixel, lobes.diffuse_color[rows] * now.throughput[rows], 0, len(rows)
+            )
+        open_rows = (now.flags[rows] & PASSES_DONE) == 0
+        rows, pixel = rows[open_rows], pixel[open_rows]
+        first = samples.number[now.slot[rows]] == 0
+        if first.any():
+            at = rows[first]
+            position = surface.position[at]
+            film.write_first(
+                tile, pixel[first], _depths(self.stage.camera, position), position, self.hits.object_index[at],
+                self.stage.materials_index[surface.material[at]], 0, len(at),
+            )  # fmt: skip
+        alpha = 1.0 - np.clip(lobes.transparency[rows], 0, 1).mean(1)
+        solid = alpha >= self.stage.settings.pass_alpha_threshold
+        rows, pixel = rows[solid], pixel[solid]
+        if len(tile.normal):
+            normal = np.zeros((len(rows), 3), np.float32)
+            paths.average_normals(lobes, rows, normal)
+            film.add_averages(tile.normal, pixel, normal, 0, len(rows))
+        now.flags[rows] |= PASSES_DONE
+
+    def _direct_light(self, now, n: int, alive, bounce: int) -> None:
+        """One light sample for each point that can use one, and the shadow rays to it."""
+        stage, lights, lobes = self.stage, self.stage.lights, self.lobes
+        m = direct_light.choose_points(
+            now, self.samples, lobes, self.frames, stage.tables, bounce, alive, n, self.lit_rows,
+            self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u,
+        )  # fmt: skip
+        if not m:
+            return
+        chosen = LightSamples(*(a[:m] for a in self.light_samples))
+        lights.sample(
+            self.lit_position[:m], self.lit_normal[:m], self.lit_transmissive[:m], self.lit_u[:m], chosen
+        )
+        lights.emission_at(chosen)
+        count = direct_light.connect(
+            now, self.hits, self.frames, lobes, stage.limits, chosen, self.lit_rows, m, self.shadows
+        )
+        while count:
+            walk.shadow(stage.acceleration, self.shadows.rays, self.shadow_hits, 0, count)
+            self.counters["shadow_rays"] += count
+            left = direct_light.settle(
+                self.shadows, self.shadow_hits, self.samples, stage.limits.transparent, count, self.waiting
+            )
+            count = self._pass_through(now, left) if left else 0
+
+    def _pass_through(self, now, left: int) -> int:
+        """Dim the waiting shadow rays by their surfaces; returns how many go on."""
+        stage, waiting = self.stage, self.waiting[:left]
+        rows = np.ascontiguousarray(waiting, np.int64)
+        _sub_frames(stage.shader.geometry, self.shadows.rays, self.shadow_hits, rows, self.shadow_frames)
+        state: RayState = self.shadow_state
+        source = self.shadows.source[rows]
+        for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
+            getattr(state, name)[rows] = getattr(now.state, name)[source]
+        state.transparent_depth[rows] = self.shadows.passed[rows]
+        state.width[rows] = now.state.width[source] + now.state.spread[source] * self.hits.t[source].astype(np.float32)
+        state.spread[rows] = now.state.spread[source]
+        share = stage.shader.transparency_at(
+            self.shadows.rays, state, self.shadow_hits, self.shadow_frames, rows
+        )
+        return direct_light.dim(self.shadows, self.shadow_hits, self.shadow_frames, waiting, left, share)
+
+
+def _sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
+    """Frames of the hits `rows` only, written to those rows."""
+    chosen_rays, chosen_hits = Rays(*(a[rows] for a in rays)), Hits(*(a[rows] for a in hits))
+    found = allocate_frames(len(rows))
+    frames(geometry, chosen_rays, chosen_hits, found)
+    for target, values in zip(out, found, strict=True):
+        target[rows] = values
+
+
+def _depths(camera: CameraArrays, position: np.ndarray) -> np.ndarray:
+    m = camera.camera_from_world[2]
+    return position @ m[:3] + m[3]
+

@@ -1,0 +1,360 @@
+"""Paths of a tile: the queue that goes from bounce to bounce, and the kernels that start, end and continue paths."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.image.film import clamp_light
+from pointmr_engine.numerics.rng import sample_1d, sample_4d
+from pointmr_engine.raytracing.rays import Rays, allocate_rays
+from pointmr_engine.raytracing.surface import RayState, allocate_ray_state
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.shading.bsdf.layout import (
+    HAS_TRANSMISSION,
+    LABEL_DIFFUSE,
+    LABEL_NONE,
+    LABEL_REFLECT,
+    LABEL_SINGULAR,
+    LABEL_TRANSPARENT,
+    NORMAL,
+    WEIGHT,
+)
+from pointmr_engine.shading.bsdf.vector import row3
+from pointmr_engine.shading.lobes import sample as sample_lobes
+from pointmr_engine.shading.points import (
+    RAY_CAMERA,
+    RAY_DIFFUSE,
+    RAY_GLOSSY,
+    RAY_REFLECTION,
+    RAY_SINGULAR,
+    RAY_TRANSMISSION,
+)
+
+# Paths.flags
+FINAL = 1  # only emission and what is straight behind still count (a bounce limit is reached)
+LAST = 2  # the next surface is the last, transparent or not
+BACKDROP = 4  # nothing but transparent surfaces so far: alpha and passes see through
+PASSES_DONE = 8  # the normal pass has its surface
+THROUGH = 16  # some surface was passed straight
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+class Paths(NamedTuple):
+    """N paths on their way; row k of every array belongs to one path. `slot` is its row in `Samples`."""
+
+    rays: Rays
+    state: RayState
+    throughput: np.ndarray  # (N, 3) float32
+    bsdf_pdf: np.ndarray  # (N,) float64 of the ray's direction; inf: lights were not sampled for it
+    origin_normal: np.ndarray  # (N, 3) float32 shading normal where the ray starts, for light sampling densities
+    origin_transmissive: np.ndarray  # (N,) bool
+    flags: np.ndarray  # (N,) uint8
+    slot: np.ndarray  # (N,) int32
+
+
+class Samples(NamedTuple):
+    """What becomes of N image samples."""
+
+    pixel: np.ndarray  # (N,) int32, in the tile
+    x: np.ndarray  # (N,) int32, in the whole image
+    y: np.ndarray  # (N,) int32
+    number: np.ndarray  # (N,) int32, of the pixel's samples
+    seed: np.ndarray  # (N,) uint32
+    radiance: np.ndarray  # (N, 3) float64
+    transparency: np.ndarray  # (N,) float64, share that saw a transparent film or a holdout
+
+
+class Limits(NamedTuple):
+    """Bounces and other bounds of a render, for kernels."""
+
+    bounces: int
+    diffuse: int
+    glossy: int
+    transmission: int
+    transparent: int
+    clamp_direct: float
+    clamp_indirect: float
+    lobe_spread: float  # how much of a lobe's width one of its rays stands for
+
+
+def allocate_paths(n: int, camera_from_world: np.ndarray | None = None) -> Paths:
+    """Room for n paths."""
+    return Paths(
+        allocate_rays(n),
+        allocate_ray_state(n, camera_from_world),
+        np.ones((n, 3), np.float32),
+        np.full(n, np.inf),
+        np.zeros((n, 3), np.float32),
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.uint8),
+        np.zeros(n, np.int32),
+    )
+
+
+def allocate_samples(n: int) -> Samples:
+    """Room for n samples."""
+    return Samples(
+        np.zeros(n, np.int32),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.uint32),
+        np.zeros((n, 3)),
+        np.zeros(n),
+    )
+
+
+@_jit
+def lay_out(samples: Samples, x0, y0, x1, y1, first, count):
+    """Samples first..first+count of every pixel of a tile, pixel by pixel; returns how many."""
+    n = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            for s in range(first, first + count):
+                samples.pixel[n] = (y - y0) * (x1 - x0) + x - x0
+                samples.x[n] = x
+                samples.y[n] = y
+                samples.number[n] = s
+                samples.radiance[n, :] = 0.0
+                samples.transparency[n] = 0.0
+                n += 1
+    return n
+
+
+@_jit
+def start_paths(paths: Paths, n):
+    """Fresh camera paths 0..n; rays, width and spread are filled by the camera."""
+    for k in range(n):
+        paths.throughput[k, :] = np.float32(1)
+        paths.bsdf_pdf[k] = math.inf
+        paths.origin_normal[k, :] = np.float32(0)
+        paths.origin_transmissive[k] = False
+        paths.flags[k] = BACKDROP
+        paths.slot[k] = k
+        paths.rays.visibility[k] = CAMERA
+        state = paths.state
+        state.kind[k] = RAY_CAMERA
+        state.depth[k] = 0
+        state.diffuse_depth[k] = 0
+        state.glossy_depth[k] = 0
+        state.transmission_depth[k] = 0
+        state.transparent_depth[k] = 0
+        state.length[k] = 0
+
+
+@_jit
+def add_radiance(paths: Paths, samples: Samples, limits: Limits, radiance, weight, n):
+    """Add throughput * radiance (n, 3) * weight (n,) of paths 0..n to their samples."""
+    for k in range(n):
+        r = float(radiance[k, 0]) * weight[k]
+        g = float(radiance[k, 1]) * weight[k]
+        b = float(radiance[k, 2]) * weight[k]
+        if r == 0.0 and g == 0.0 and b == 0.0:
+            continue
+        t = paths.throughput[k]
+        limit = limits.clamp_direct if paths.state.depth[k] <= 1 else limits.clamp_indirect
+        r, g, b = clamp_light(r * t[0], g * t[1], b * t[2], limit)
+        slot = paths.slot[k]
+        samples.radiance[slot, 0] += r
+        samples.radiance[slot, 1] += g
+        samples.radiance[slot, 2] += b
+
+
+@_jit
+def see_through(paths: Paths, samples: Samples, missed, n):
+    """Paths that meet nothing but a transparent film: their share goes to the sample's transparency."""
+    for k in range(n):
+        if missed[k] and paths.flags[k] & BACKDROP:
+            t = paths.throughput[k]
+            samples.transparency[paths.slot[k]] += (float(t[0]) + float(t[1]) + float(t[2])) / 3.0
+
+
+@_jit
+def hold_out(paths: Paths, samples: Samples, hits, lobes, alive, n):
+    """Holdout objects and shaders: what they cover becomes transparency; paths that end here are no longer alive."""
+    for k in range(n):
+        if not alive[k] or not paths.flags[k] & BACKDROP:
+            continue
+        t = paths.throughput[k]
+        if hits.holdout[k]:
+            clear = lobes.transparency[k]
+            covered = 0.0
+            for c in range(3):
+                covered += (1.0 - min(float(clear[c]), 1.0)) * t[c] / 3.0
+            lobes.count[k] = 0
+            lobes.flags[k] = 0
+            lobes.emission[k, :] = 0.0
+        elif lobes.holdout[k] > 0.0:
+            covered = lobes.holdout[k] * (float(t[0]) + float(t[1]) + float(t[2])) / 3.0
+        else:
+            continue
+        samples.transparency[paths.slot[k]] += covered
+        if lobes.count[k] == 0 and lobes.transparency[k].max() <= 0.0:
+            if lobes.emission[k].max() <= 0.0:
+                alive[k] = False
+
+
+@_jit
+def average_normals(lobes, rows, out):
+    """Normals of the points `rows` as their lobes see them, weighted as they are, into out (len(rows), 3)."""
+    for i in range(len(rows)):
+        k = rows[i]
+        x, y, z = 0.0, 0.0, 0.0
+        for j in range(lobes.count[k]):
+            d = lobes.data[k, j]
+            w = (abs(d[WEIGHT]) + abs(d[WEIGHT + 1]) + abs(d[WEIGHT + 2])) / 3.0
+            x += w * d[NORMAL]
+            y += w * d[NORMAL + 1]
+            z += w * d[NORMAL + 2]
+        size = math.sqrt(x * x + y * y + z * z)
+        if size > 0.0:
+            out[i, 0], out[i, 1], out[i, 2] = x / size, y / size, z / size
+        else:
+            out[i] = lobes.normal[k]
+
+
+@_jit
+def finish_final(paths: Paths, lobes, alive, n):
+    """Paths that may not scatter any more keep only what lies straight behind."""
+    for k in range(n):
+        if alive[k]:
+            if paths.flags[k] & LAST:
+                alive[k] = False
+            elif paths.flags[k] & FINAL:
+                lobes.count[k] = 0
+                lobes.flags[k] = 0
+
+
+@_jit
+def roulette(paths: Paths, samples: Samples, tables, bounce, alive, n):
+    """Russian roulette by the throughput, once a path has scattered or passed a surface."""
+    for k in range(n):
+        if not alive[k] or paths.state.depth[k] + paths.state.transparent_depth[k] == 0:
+            continue
+        t = paths.throughput[k]
+        chance = math.sqrt(max(t[0], t[1], t[2]))
+        if chance >= 1.0:
+            continue
+        slot = paths.slot[k]
+        u = sample_1d(tables, samples.seed[slot], bounce, samples.number[slot])
+        if u >= chance:
+            alive[k] = False
+        else:
+            for c in range(3):
+                t[c] /= chance
+
+
+@_jit
+def _copy(paths: Paths, k, out: Paths, m):
+    """Row k of paths to row m of out, but for the ray's origin and direction."""
+    a, b = paths.state, out.state
+    b.kind[m] = a.kind[k]
+    b.depth[m] = a.depth[k]
+    b.diffuse_depth[m] = a.diffuse_depth[k]
+    b.glossy_depth[m] = a.glossy_depth[k]
+    b.transmission_depth[m] = a.transmission_depth[k]
+    b.transparent_depth[m] = a.transparent_depth[k]
+    b.length[m] = a.length[k]
+    b.width[m] = a.width[k]
+    b.spread[m] = a.spread[k]
+    out.bsdf_pdf[m] = paths.bsdf_pdf[k]
+    out.origin_normal[m] = paths.origin_normal[k]
+    out.origin_transmissive[m] = paths.origin_transmissive[k]
+    out.flags[m] = paths.flags[k]
+    out.slot[m] = paths.slot[k]
+    out.rays.visibility[m] = paths.rays.visibility[k]
+
+
+@_jit
+def _go_straight(paths: Paths, k, hits, frames, limits, out: Paths, m):
+    """Path k goes on behind the surface that it passes: the same ray, begun later."""
+    rays = paths.rays
+    for a in range(3):
+        out.rays.origin[m, a] = rays.origin[k, a]
+        out.rays.direction[m, a] = rays.direction[k, a]
+    out.rays.t_min[m] = hits.t[k] + frames.offset[k]
+    out.rays.t_max[m] = rays.t_max[k]
+    out.state.transparent_depth[m] += 1
+    out.flags[m] |= THROUGH
+    if out.state.transparent_depth[m] >= limits.transparent:
+        out.flags[m] |= LAST
+
+
+@_jit
+def _turn(paths: Paths, k, hits, frames, lobes, limits, wo, label, alpha, out: Paths, m):
+    """Path k leaves the surface in direction wo."""
+    state = out.state
+    for a in range(3):
+        out.rays.origin[m, a] = frames.position[k, a]
+        out.rays.direction[m, a] = wo[a]
+    out.rays.t_min[m] = frames.offset[k]
+    out.rays.t_max[m] = math.inf
+    state.width[m] = paths.state.width[k] + paths.state.spread[k] * np.float32(hits.t[k])
+    state.spread[m] = paths.state.spread[k] + np.float32(alpha * limits.lobe_spread)
+    state.length[m] = 0
+    state.depth[m] += 1
+    flags = np.int64(out.flags[m]) & ~BACKDROP
+    final = state.depth[m] >= limits.bounces
+    kind = 0
+    if label & LABEL_REFLECT:
+        kind = RAY_REFLECTION
+        if label & LABEL_DIFFUSE:
+            state.diffuse_depth[m] += 1
+            final = final or state.diffuse_depth[m] > limits.diffuse
+            out.rays.visibility[m] = DIFFUSE
+        else:
+            state.glossy_depth[m] += 1
+            final = final or state.glossy_depth[m] > limits.glossy
+            out.rays.visibility[m] = GLOSSY
+    else:
+        kind = RAY_TRANSMISSION
+        state.transmission_depth[m] += 1
+        final = final or state.transmission_depth[m] > limits.transmission
+        out.rays.visibility[m] = TRANSMISSION
+    if label & LABEL_DIFFUSE:
+        kind |= RAY_DIFFUSE
+    else:
+        kind |= RAY_GLOSSY
+    if label & LABEL_SINGULAR:
+        kind |= RAY_SINGULAR
+    state.kind[m] = kind
+    out.flags[m] = flags | (FINAL if final else 0)
+    out.origin_normal[m] = lobes.normal[k]
+    out.origin_transmissive[m] = (lobes.flags[k] & HAS_TRANSMISSION) != 0
+
+
+@_jit
+def advance(paths: Paths, samples: Samples, hits, frames, lobes, limits, tables, bounce, alive, out: Paths, n):
+    """Sample the lobes of the paths 0..n that are alive; those that go on are written to `out`. Returns how many."""
+    m = 0
+    for k in range(n):
+        if not alive[k]:
+            continue
+        d = paths.rays.direction[k]
+        slot = paths.slot[k]
+        u0, u1, u2, _ = sample_4d(tables, samples.seed[slot], 2 * bounce + 2, samples.number[slot])
+        wo, value, pdf, label, alpha, _ = sample_lobes(lobes, k, (-d[0], -d[1], -d[2]), u0, u1, u2)
+        if label == LABEL_NONE or not pdf > 0.0:
+            continue
+        t = row3(paths.throughput, k)
+        r, g, b = t[0] * value[0] / pdf, t[1] * value[1] / pdf, t[2] * value[2] / pdf
+        if not (max(r, g, b) > 0.0 and math.isfinite(r + g + b)):
+            continue
+        _copy(paths, k, out, m)
+        out.throughput[m, 0] = r
+        out.throughput[m, 1] = g
+        out.throughput[m, 2] = b
+        out.rays.skip_triangle[m] = hits.triangle[k]
+        out.rays.skip_path[m] = hits.path[k]
+        if label & LABEL_TRANSPARENT:
+            _go_straight(paths, k, hits, frames, limits, out, m)
+        else:
+            out.bsdf_pdf[m] = math.inf if label & LABEL_SINGULAR else pdf
+            _turn(paths, k, hits, frames, lobes, limits, wo, label, alpha, out, m)
+        m += 1
+    return m

@@ -1,0 +1,100 @@
+"""Materials at hits: programs run per material over the whole queue, and their leaves become lobes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.raytracing.rays import Hits, Rays
+from pointmr_engine.raytracing.surface import Frames, RayState, gather
+from pointmr_engine.scene.settings import RenderSettings
+from pointmr_engine.shading import lobes as lobe_kernels
+from pointmr_engine.shading.bsdf.layout import Lobes, View
+from pointmr_engine.shading.points import RAY_DIFFUSE
+from pointmr_engine.shading.program import Program
+
+
+def allocate_view(n: int) -> View:
+    """Room for n views."""
+    return View(
+        np.zeros((n, 3), np.float32),
+        np.zeros((n, 3), np.float32),
+        np.zeros((n, 3), np.float32),
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.bool_),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_view(rays: Rays, kind, frames: Frames, out: View, n):
+    """How rays 0..n see the surfaces that they hit: normals turned to the viewer's side."""
+    for k in range(n):
+        if frames.material[k] < 0:
+            continue
+        sign = np.float32(-1) if frames.backfacing[k] else np.float32(1)
+        for a in range(3):
+            out.incoming[k, a] = -rays.direction[k, a]
+            out.normal[k, a] = sign * frames.smooth_normal[k, a]
+            out.geometric_normal[k, a] = sign * frames.geometric_normal[k, a]
+        out.backfacing[k] = frames.backfacing[k]
+        out.diffuse_ray[k] = (kind[k] & RAY_DIFFUSE) != 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rows_by_material(material, wanted, n, materials, order):
+    """Sort the wanted rows of 0..n by material into `order`; returns where each material's rows start (materials + 1,)."""
+    start = np.zeros(materials + 1, np.int64)
+    for k in range(n):
+        if wanted[k]:
+            start[material[k] + 1] += 1
+    for m in range(materials):
+        start[m + 1] += start[m]
+    place = start.copy()
+    for k in range(n):
+        if wanted[k]:
+            m = material[k]
+            order[place[m]] = k
+            place[m] += 1
+    return start
+
+
+class Shader:
+    """The scene's materials as compiled programs. Threads may share it."""
+
+    def __init__(self, geometry: Geometry, programs: list[Program], settings: RenderSettings, tables):
+        self.geometry = geometry
+        self.programs = programs
+        self.tables = tables
+        self.reflective = settings.caustics_reflective
+        self.refractive = settings.caustics_refractive
+        self.bump_correction = [m is None or m.bump_method != "NONE" for m in geometry.materials]
+        # materials that add nothing to a path that may not scatter again
+        self.dull = np.array([p.opaque and not p.emissive for p in programs] + [True], np.bool_)
+
+    def lobes_at(self, rays: Rays, state: RayState, hits: Hits, frames: Frames, view: View, wanted, n, order, out: Lobes):
+        """Fill the lobes of the wanted rows (n,) bool of 0..n; all others are emptied."""
+        lobe_kernels.reset(out, View(*(a[:n] for a in view)))
+        start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
+        for m, program in enumerate(self.programs):
+            rows = order[start[m] : start[m + 1]]
+            if not len(rows):
+                continue
+            points = gather(self.geometry, rays, hits, frames, rows, program.needs, state, m)
+            for leaf in program.evaluate(points):
+                lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
+
+    def transparency_at(self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray) -> np.ndarray:
+        """(len(rows), 3) float32: how much light the surfaces at `rows` let straight through."""
+        share = np.zeros((len(rows), 3), np.float32)
+        material = frames.material[rows]
+        for m in np.unique(material):
+            program = self.programs[m]
+            if program.opaque:
+                continue
+            chosen = np.flatnonzero(material == m)
+            points = gather(
+                self.geometry, rays, hits, frames, rows[chosen], program.transparency_needs, state, int(m)
+            )
+            share[chosen] = program.transparency(points)
+        return share

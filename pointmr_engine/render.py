@@ -1,0 +1,207 @@
+"""The front door: a scene and settings become a frame."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import asdict, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.image.frame import Frame
+from pointmr_engine.scene.scene import Scene
+from pointmr_engine.scene.settings import RenderSettings
+
+TILE_SIZES = (64, 32, 16)
+
+
+class Cancelled(Exception):
+    """The progress callback asked to stop."""
+
+
+class Tile(NamedTuple):
+    """A finished part of the image: x, y of its lower left pixel in the rendered region; pixels (h, w, 4) float32."""
+
+    x: int
+    y: int
+    pixels: np.ndarray
+
+
+Progress = Callable[[float, str, Tile | None], bool | None]
+
+
+def render(scene: Scene, settings: RenderSettings | None = None, progress: Progress | None = None) -> Frame:
+    """Render `scene` with the settings' method.
+
+    progress(fraction, text, tile) is called often, from the calling thread; tile is a finished Tile or None. A true
+    return value cancels: Cancelled is raised. Raises SceneError for what cannot be rendered, naming it; what was skipped
+    or replaced is in the frame's warnings. The image does not depend on the number of threads.
+    """
+    settings = settings or RenderSettings()
+    settings.validate()
+    clock = _Clock(progress)
+    clock.phase("checking the scene")
+    warnings = scene.validate()
+    if settings.method == "conventional":
+        settings = replace(settings, samples=1)
+    stage, warnings = _prepare(scene, settings, clock, warnings)
+    clock.phase("rendering")
+    frame, counters = _render_tiles(stage, settings, clock)
+    clock.phase("done")
+    geometry = stage.shader.geometry
+    frame.stats.update(
+        method=settings.method,
+        samples=settings.samples,
+        triangles=geometry.instanced_triangles,
+        unique_triangles=geometry.unique_triangles,
+        nesting=geometry.depth,
+        times=clock.times,
+        counters=dict(counters),
+        needs=asdict(stage.needs),
+    )
+    frame.warnings[:0] = list(dict.fromkeys(warnings))
+    return frame
+
+
+class _Clock:
+    """Times the phases, and asks the progress callback whether to go on."""
+
+    def __init__(self, progress: Progress | None):
+        self.progress = progress
+        self.times: dict[str, float] = {}
+        self._phase = ""
+        self._start = time.perf_counter()
+
+    def phase(self, name: str) -> None:
+        now = time.perf_counter()
+        if self._phase:
+            self.times[self._phase] = self.times.get(self._phase, 0.0) + now - self._start
+        self._phase, self._start = name, now
+        self.tell(0.0)
+
+    def tell(self, fraction: float, tile: Tile | None = None) -> None:
+        if self.progress is not None and self.progress(fraction, self._phase, tile):
+            raise Cancelled("the render was cancelled")
+
+
+def _prepare(scene: Scene, settings: RenderSettings, clock: _Clock, warnings: list[str]):
+    """Compile everything that the integrator reads: (Stage, warnings)."""
+    from pointmr_engine.scene.material import Material
+    from pointmr_engine.shading.program import compile_graph
+
+    clock.phase("loading kernels")
+    from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
+    from pointmr_engine.hierarchy.geometry import compile_geometry
+    from pointmr_engine.needs import decide_needs
+    from pointmr_engine.raytracing.camera import compile_camera
+    from pointmr_engine.raytracing.integrator import Stage
+    from pointmr_engine.raytracing.lights import build_lights
+    from pointmr_engine.raytracing.paths import Limits
+    from pointmr_engine.raytracing.shade import Shader
+    from pointmr_engine.shading.bsdf.albedo_tables import load_tables
+
+    camera = compile_camera(scene.camera, settings)
+    clock.phase("compiling materials")
+    geometry = compile_geometry(scene)
+    plain = Material("no material")
+    programs = []
+    for material in geometry.materials:
+        program = compile_graph((material or plain).graph)
+        programs.append(program)
+        warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
+    clock.phase("building hierarchies")
+    acceleration = build_acceleration(geometry, progress=clock.tell)
+    acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
+    clock.phase("gathering lights")
+    lights = build_lights(scene, geometry, programs, settings)
+    warnings = warnings + geometry.warnings + lights.warnings
+    needs = decide_needs(programs, lights, settings, lens=bool(camera.lens[0] > 0.0))
+    share = 1.0 / np.sqrt(settings.samples)
+    limits = Limits(
+        settings.max_bounces,
+        settings.diffuse_bounces,
+        settings.glossy_bounces,
+        settings.transmission_bounces,
+        settings.transparent_max_bounces,
+        float(settings.clamp_direct),
+        float(settings.clamp_indirect),
+        float(share),
+    )
+    index = [0 if m is None else m.pass_index for m in geometry.materials]
+    stage = Stage(
+        acceleration,
+        Shader(geometry, programs, settings, load_tables()),
+        lights,
+        camera,
+        settings,
+        needs,
+        limits,
+        np.array(index, np.int32),
+        float(share),
+    )
+    return stage, warnings
+
+
+def _tile_size(width: int, height: int) -> int:
+    """Tiles small enough to share out among threads; it must not depend on how many there are."""
+    for size in TILE_SIZES:
+        if -(-width // size) * -(-height // size) >= 16:
+            return size
+    return TILE_SIZES[-1]
+
+
+def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame, Counter]:
+    from pointmr_engine.image.film import Film
+    from pointmr_engine.raytracing.integrator import BATCH, Workspace
+
+    film = Film(settings)
+    x0, y0, x1, y1 = film.region
+    tiles = film.tiles(_tile_size(x1 - x0, y1 - y0))
+    stop = threading.Event()
+    local = threading.local()
+    spaces: list[Workspace] = []
+    total = (x1 - x0) * (y1 - y0) * settings.samples
+    done = [0]
+    lock = threading.Lock()
+
+    def work(bounds):
+        if stop.is_set():
+            return None
+        if not hasattr(local, "space"):
+            local.space = Workspace(stage, BATCH)
+            with lock:
+                spaces.append(local.space)
+        sums = film.tile(bounds)
+        pixels = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
+        chunk = max(1, BATCH // pixels)
+        for first in range(0, settings.samples, chunk):
+            if stop.is_set():
+                return None
+            count = min(chunk, settings.samples - first)
+            local.space.render_tile(sums, first, count)
+            with lock:
+                done[0] += pixels * count
+        film.finish_tile(sums)
+        left, low = bounds[0] - x0, bounds[1] - y0
+        block = film.frame.passes["combined"][low : bounds[3] - y0, left : bounds[2] - x0]
+        return Tile(left, low, block.copy())
+
+    threads = settings.threads or os.cpu_count() or 1
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="pointmr")
+    try:
+        pending = {pool.submit(work, bounds) for bounds in tiles}
+        while pending:
+            finished, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
+            for future in finished:
+                clock.tell(done[0] / total, future.result())
+            if not finished:
+                clock.tell(done[0] / total)
+    finally:
+        stop.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+    return film.result(), sum((s.counters for s in spaces), Counter())
