@@ -8,17 +8,17 @@ from numba import njit
 PAD = (
     1e-6  # of the largest coordinate: bounds every rounding of the box and triangle tests (16 units of 2^-24)
 )
-FLAT = 1e-18  # stands for a direction component of zero, so that no infinity times zero can appear
+FLAT = np.float32(1e-18)  # stands for a direction component of zero, so that no infinity times zero can appear
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _axis(o, d, pad):
     """(reciprocal, shift of the first plane, shift of the last plane) of one axis, in single precision."""
     if abs(d) < FLAT:
-        d = -FLAT if d < 0.0 else FLAT
-    r = 1.0 / d
-    p = -pad if d < 0.0 else pad
-    return np.float32(r), np.float32(-(o + p) * r), np.float32(-(o - p) * r)
+        d = -FLAT if d < np.float32(0) else FLAT
+    r = np.float32(1) / d
+    p = -pad if d < np.float32(0) else pad
+    return r, -(o + p) * r, (p - o) * r
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -27,8 +27,8 @@ def localize(ox, oy, oz, dx, dy, dz, radius):
 
     Everything in single precision: the direction of unit length, and the origin moved along the ray to the hierarchy
     when it starts far away, so that rounding is relative to the hierarchy's size and not to the distance. Returns
-    (length, shift, pad, origin (3), direction (3), near (3), scale (3), shift_near (3), shift_far (3)), the last four as
-    simd.slab_test wants them; local t = t * length - shift.
+    (length, shift, pad, origin (3), direction (3), near (3), scale (3), shift_near (3), shift_far (3)), the last
+    four as simd.slab_test wants them; local t = t * length - shift.
     """
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     s = 1.0 / length
@@ -43,50 +43,38 @@ def localize(ox, oy, oz, dx, dy, dz, radius):
         oy += shift * dy
         oz += shift * dz
     pad = PAD * (max(abs(ox), abs(oy), abs(oz)) + radius)
-    rx, nx, fx = _axis(ox, dx, pad)
-    ry, ny, fy = _axis(oy, dy, pad)
-    rz, nz, fz = _axis(oz, dz, pad)
+    origin = (np.float32(ox), np.float32(oy), np.float32(oz))
+    direction = (np.float32(dx), np.float32(dy), np.float32(dz))
+    wide = np.float32(pad)
+    rx, nx, fx = _axis(origin[0], direction[0], wide)
+    ry, ny, fy = _axis(origin[1], direction[1], wide)
+    rz, nz, fz = _axis(origin[2], direction[2], wide)
     near = (
-        np.int64(24 if dx < 0.0 else 0),
-        np.int64(32 if dy < 0.0 else 8),
-        np.int64(40 if dz < 0.0 else 16),
+        np.int64(24 if rx < np.float32(0) else 0),
+        np.int64(32 if ry < np.float32(0) else 8),
+        np.int64(40 if rz < np.float32(0) else 16),
     )
-    return (
-        length,
-        shift,
-        pad,
-        (np.float32(ox), np.float32(oy), np.float32(oz)),
-        (np.float32(dx), np.float32(dy), np.float32(dz)),
-        near,
-        (rx, ry, rz),
-        (nx, ny, nz),
-        (fx, fy, fz),
-    )
+    return length, shift, pad, origin, direction, near, (rx, ry, rz), (nx, ny, nz), (fx, fy, fz)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shear_of(origin, direction):
+def shear_of(origin, direction, scale):
     """(axes (kx, ky, kz), origin in that order, shear (Sx, Sy, Sz)) of a local ray for simd.triangle_test."""
     x, y, z = direction
     ax, ay, az = abs(x), abs(y), abs(z)
-    one = np.float32(1.0)
     if ax >= ay and ax >= az:
         axes = (np.int64(1), np.int64(2), np.int64(0))
         o = (origin[1], origin[2], origin[0])
-        p, q, w = y, z, x
+        p, q, r = y, z, scale[0]
     elif ay >= az:
         axes = (np.int64(2), np.int64(0), np.int64(1))
         o = (origin[2], origin[0], origin[1])
-        p, q, w = z, x, y
+        p, q, r = z, x, scale[1]
     else:
         axes = (np.int64(0), np.int64(1), np.int64(2))
         o = origin
-        p, q, w = x, y, z
-    if w < np.float32(0.0):  # keep the winding
-        axes = (axes[1], axes[0], axes[2])
-        o = (o[1], o[0], o[2])
-        p, q = q, p
-    return axes, o, (p / w, q / w, one / w)
+        p, q, r = x, y, scale[2]
+    return axes, o, (p * r, q * r, r)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

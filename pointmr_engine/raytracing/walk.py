@@ -88,7 +88,7 @@ def walk_shape(
     length, shift, pad, origin, direction, near, scale, shift_near, shift_far = localize(
         ox, oy, oz, dx, dy, dz, arrays.parts.radius[part]
     )
-    axes, o, shear = shear_of(origin, direction)
+    axes, o, shear = shear_of(origin, direction, scale)
     first_t = np.float32(t_min * length - shift - pad)
     last_t = np.float32(t_max[0] * length - shift + pad)
     best_t = np.float32(t_max[1] * length - shift + pad)
@@ -240,6 +240,8 @@ def _trace(arrays, rays, hits, scratch, start, stop, any_hit):
         node = np.int64(arrays.group_root[root])
         entering = True
         while True:
+            if entering and node != _EMPTY and node < 0:
+                entering = False  # a single item: nothing to test before it
             if entering:  # a group's space, from above or from below
                 center = arrays.group_center[group]
                 length, shift, pad, _, _, near, scale, shift_near, shift_far = localize(
