@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import transforms
+from .meshes import floats, read
 from .transforms import matrix
 
 
@@ -13,20 +14,19 @@ def dupli_frames(ob, mesh):
 
     frames: faces' linear parts (N, 3, 3); vertex normals (N, 3), or None for vertices that do not rotate.
     """
-    positions = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", positions)
-    positions = positions.reshape(-1, 3)
+    if not len(mesh.vertices):
+        return None, np.empty((0, 3), np.float32)
+    positions = read(mesh.attributes["position"], "vector", np.float32, (len(mesh.vertices), 3))
     if ob.instance_type == "VERTS":
         if not ob.use_instance_vertices_rotation:
             return None, positions
-        normals = np.empty(positions.size, np.float32)
-        mesh.vertex_normals.foreach_get("vector", normals)
-        return normals.reshape(-1, 3), positions
+        return floats(mesh.vertex_normals, "vector", positions.shape), positions
     starts, totals = np.empty((2, len(mesh.polygons)), np.int32)
     mesh.polygons.foreach_get("loop_start", starts)
     mesh.polygons.foreach_get("loop_total", totals)
-    corners = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", corners)
+    corners = np.empty(0, np.int32)
+    if len(mesh.loops):
+        corners = read(mesh.attributes[".corner_vert"], "value", np.int32, (len(mesh.loops),))
     scale = ob.instance_faces_scale if ob.use_instance_faces_scale else None
     return transforms.face_frames(positions, starts, totals, corners, scale)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pointmr_engine.scene.mesh import Attribute, Mesh
+from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 
 from . import attributes
 from .attributes import Requests
@@ -98,6 +98,13 @@ def floats(collection, name: str, shape: tuple[int, ...]) -> np.ndarray:
     return out.reshape(shape)
 
 
+def read(attribute, prop: str, dtype, shape: tuple[int, ...]) -> np.ndarray:
+    """A Blender attribute's values. Far faster than the properties of vertices, loops and polygons."""
+    out = np.empty(int(np.prod(shape)), dtype)
+    attribute.data.foreach_get(prop, out)
+    return out.reshape(shape)
+
+
 def read_mesh(mesh, owner: str, watch) -> tuple[Mesh | None, dict]:
     """(a Mesh without materials, index arrays that attributes need), or (None, {}) where there are no triangles.
 
@@ -108,12 +115,17 @@ def read_mesh(mesh, owner: str, watch) -> tuple[Mesh | None, dict]:
     v, t = len(mesh.vertices), len(mesh.loop_triangles)
     if t == 0:
         return None, {}
-    positions = floats(mesh.vertices, "co", (v, 3))
-    loops = np.empty(3 * t, np.int32)
-    mesh.loop_triangles.foreach_get("loops", loops)
-    corner_vertices = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", corner_vertices)
-    triangles = corner_vertices[loops].reshape(t, 3)
+    positions = read(mesh.attributes["position"], "vector", np.float32, (v, 3))
+    polygons = np.empty(t, np.int32)
+    mesh.loop_triangle_polygons.foreach_get("value", polygons)
+    if 3 * t == len(mesh.loops):
+        loops = np.arange(3 * t, dtype=np.int32)  # triangles only
+    else:
+        loops = np.empty(3 * t, np.int32)
+        mesh.loop_triangles.foreach_get("loops", loops)
+    triangles = read(mesh.attributes[".corner_vert"], "value", np.int32, (len(mesh.loops),))[loops].reshape(
+        t, 3
+    )
     if triangles.min() < 0 or triangles.max() >= v:
         bad = ((triangles < 0) | (triangles >= v)).any(1)
         watch.warn(
@@ -121,13 +133,8 @@ def read_mesh(mesh, owner: str, watch) -> tuple[Mesh | None, dict]:
         )
         triangles[bad] = 0  # no area: never hit
     loops = loops.reshape(t, 3)
-    polygons = np.empty(t, np.int32)
-    mesh.loop_triangles.foreach_get("polygon_index", polygons)
     bare = Mesh(name, positions, triangles, read_normals(mesh, positions, triangles, loops, polygons))
-    material_index = np.empty(t, np.int32)
-    mesh.loop_triangles.foreach_get("material_index", material_index)
-    if material_index.any():
-        bare.material_index = np.maximum(material_index, 0)
+    bare.material_index = read_material_index(mesh, polygons)
     finite = np.isfinite(positions).all(1)
     if not finite.all():
         hit = int((~finite)[triangles].any(1).sum())
@@ -141,6 +148,15 @@ def read_mesh(mesh, owner: str, watch) -> tuple[Mesh | None, dict]:
         bare.active_uv = active.name
         add_uv(bare, active, loops)
     return bare, arrays
+
+
+def read_material_index(mesh, polygons: np.ndarray) -> np.ndarray | None:
+    """Slot of each triangle, (T,) int32; None where all are in the first."""
+    source = mesh.attributes.get("material_index")
+    if source is None or source.domain != "FACE" or source.data_type != "INT":
+        return None
+    slots = read(source, "value", np.int32, (len(mesh.polygons),))
+    return np.maximum(slots, 0)[polygons] if slots.any() else None
 
 
 def read_normals(mesh, positions, triangles, loops, polygons) -> np.ndarray | None:
@@ -209,11 +225,6 @@ def add_requested(mesh, bare: Mesh, wanted: Requests, arrays: dict, owner: str, 
             size = np.where(high > low, high - low, np.inf)
             rest = np.where(np.isfinite(size), (own - low) / size, 0.5)
             bare.attributes[GENERATED] = Attribute(rest.astype(np.float32), "vertex")
-
-
-GENERATED = (
-    ".generated"  # vertex attribute, (V, 3): generated coordinates of a deformed mesh, before its deformation
-)
 
 
 def mesh_attribute_or_warn(source, arrays: dict, owner: str, watch) -> Attribute | None:

@@ -9,10 +9,11 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.hierarchy.layers import interpolate, layer
+from pointmr_engine.hierarchy.layers import NONE, interpolate, layer
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 from pointmr_engine.numerics.transforms import cofactors
 from pointmr_engine.raytracing.rays import Hits, Rays
+from pointmr_engine.scene.mesh import GENERATED
 from pointmr_engine.shading.points import SurfacePoints
 
 OFFSET = (
@@ -401,6 +402,10 @@ def _fill_surface(
         _local_points(tables, samples, local, generated)
         points.local = local if "local" in needs else None
         points.generated = generated if "generated" in needs else None
+        if "generated" in needs and layer(geometry, "attribute", GENERATED).domain.any():
+            rest = _layer_values(geometry, "attribute", GENERATED, samples, 3)
+            stored = layer(geometry, "attribute", GENERATED).domain[samples.part] != NONE
+            generated[stored] = rest[stored]
     for need in needs:
         kind, colon, name = need.partition(":")
         if need == "position":

@@ -10,6 +10,7 @@ from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.material import Material
 
 DOMAINS = ("vertex", "corner", "face", "constant")
+GENERATED = ".generated"  # attribute (V, 3) per vertex: "generated" coordinates that no box gives, of a deformed mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,8 @@ class Mesh:
     or (T, 3, 3) per corner, float32, unit length; uvs: layer name -> (T, 3, 2) float32; attributes: name -> Attribute
     (colour attributes are linear RGBA); material_index (T,) int32 into `materials`, None meaning all 0.
     generated: (2, 3) float64, the box (lower, upper) that maps to 0..1 in "generated" texture coordinates;
-    None takes the bounding box. Meshes that share the same arrays share one acceleration structure.
+    None takes the bounding box; the attribute GENERATED overrides it.
+    Meshes that share the same arrays share one acceleration structure.
     """
 
     name: str
