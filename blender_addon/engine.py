@@ -52,6 +52,7 @@ class PointMRRender(bpy.types.RenderEngine):
         observer.current.reading(layer.name)
         try:
             self.update_stats("", "PointMR: reading the scene")
+            kernel_cache.prepare()
             self.scene = sync.export(
                 depsgraph, report=self.reporter, cancel=self._stopped, progress=self._export_progress
             )
@@ -105,7 +106,7 @@ class PointMRRender(bpy.types.RenderEngine):
             finished = self._watch(job, result, layer, cold)
             if finished:
                 write_passes(result, layer, job.frame)
-                self._stamp(settings, job.frame)
+                self._stamp(job.frame)
                 observer.current.finished(layer.name, job.frame)
         finally:
             job.cancel()
@@ -141,13 +142,12 @@ class PointMRRender(bpy.types.RenderEngine):
             raise job.error
         return not self._stopped()
 
-    def _stamp(self, settings, frame):
+    def _stamp(self, frame):
+        """Say in the image's metadata how it was made."""
         result = self.get_result()
-        result.stamp_data_add_field("PointMR method", settings.method)
-        result.stamp_data_add_field("PointMR samples", str(settings.samples))
-        for key, label in (("triangles", "triangles"), ("unique_triangles", "unique triangles")):
+        for key in ("method", "samples", "triangles", "unique_triangles"):
             if key in frame.stats:
-                result.stamp_data_add_field(f"PointMR {label}", str(frame.stats[key]))
+                result.stamp_data_add_field(f"PointMR {key.replace('_', ' ')}", str(frame.stats[key]))
 
     def _fail(self, error):
         """Show an error where the user looks, in the render window and in the report; bugs leave a traceback."""
@@ -158,8 +158,9 @@ class PointMRRender(bpy.types.RenderEngine):
         else:
             traceback.print_exception(error)
             message = f"PointMR: {type(error).__name__}: {error}"
-        self.error_set(message)  # which Blender reports by itself
-        observer.current.message("ERROR", message)
+        if not bpy.app.background:  # the report is enough there, and makes bpy.ops raise
+            self.error_set(message)
+        self._say({"ERROR"}, message)
 
     # Rendered viewport
 

@@ -7,19 +7,8 @@ that was cancelled may outlive the RenderEngine that started it.
 from __future__ import annotations
 
 import threading
-from typing import NamedTuple
 
 from . import kernel_cache
-
-
-class Tile(NamedTuple):
-    """A finished part of the image: x, y of its lower left pixel in the rendered region; pixels (h, w, 4)
-    float32.
-    """
-
-    x: int
-    y: int
-    pixels: object
 
 
 class RenderJob:
@@ -34,7 +23,7 @@ class RenderJob:
         self.text = ""
         self.frame = None
         self.error: BaseException | None = None
-        self._tiles: list[Tile] = []
+        self._tiles: list = []
         self._lock = threading.Lock()
         self._cancelled = threading.Event()
         self._finished = threading.Event()
@@ -52,7 +41,8 @@ class RenderJob:
             if not self._cancelled.is_set():
                 self.frame = render(scene, settings, progress=self._progress, **options)
         except BaseException as error:  # handed to the thread that waits for it
-            self.error = error
+            if not self._cancelled.is_set():
+                self.error = error
         finally:
             self._finished.set()
 
@@ -63,8 +53,8 @@ class RenderJob:
                 self._tiles.append(tile)
         return self._cancelled.is_set()
 
-    def take_tiles(self) -> list[Tile]:
-        """The tiles finished since the last call."""
+    def take_tiles(self) -> list:
+        """The engine's Tiles (x, y, pixels) finished since the last call."""
         with self._lock:
             tiles, self._tiles = self._tiles, []
         return tiles

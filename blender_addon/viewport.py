@@ -235,6 +235,7 @@ class Viewport:
         self._refiner.stop()
         self._message = ""
         try:
+            kernel_cache.prepare()
             scene = depsgraph.scene_eval
             self._scene = sync.export(depsgraph, report=self._report)
             settings = sync.settings_from_blender(scene, depsgraph.view_layer_eval)
