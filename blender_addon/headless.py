@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from . import kernel_cache
 from .observer import Observer, follow
 
 BAD_INPUT, FAILED, UNWRITABLE, INTERRUPTED = 2, 1, 3, 130  # exit codes
@@ -299,6 +300,7 @@ def render_frame(
     from pointmr_engine.image import exr
     from pointmr_engine.scene.errors import SceneError
 
+    cold = kernel_cache.is_cold()
     scene.frame_current = frame
     run_render(observer, verbose)
     if not observer.frames:
@@ -315,7 +317,7 @@ def render_frame(
     except SceneError as error:
         raise CommandError(str(error), UNWRITABLE) from error
     observer.lap("write")
-    stats = dict(first.stats, settings=vars(observer.settings))
+    stats = dict(first.stats, cold=cold, settings=vars(observer.settings))
     return Rendered(frame, [str(p) for p in files], dict(observer.seconds), stats, observer.warnings)
 
 

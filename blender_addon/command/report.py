@@ -81,17 +81,16 @@ def summary(rendered: dict, memory: int) -> str:
     lines = [f"frame {rendered['frame']}: {settings['width']}x{settings['height']}, {settings['method']}"]
     if settings["method"] != "conventional":
         lines[0] += f", {count(settings['samples'], 'sample')} per pixel"
-    if "instanced_triangles" in stats:
-        unique, instanced = stats["unique_triangles"], stats["instanced_triangles"]
-        lines.append(f"  triangles: {unique:,} unique, {instanced:,} instanced")
-    inner = {k: v for k, v in stats.get("seconds", {}).items() if k != "total"}
+    unique, instanced = stats["unique_triangles"], stats["triangles"]
+    lines.append(f"  triangles: {unique:,} unique, {instanced:,} instanced, nested {stats['nesting']} deep")
     whole = sum(seconds.values())
-    if inner:  # the engine's own phases stand for "render"
-        seconds = {k: v for k, v in seconds.items() if k not in ("render", "write")} | inner
-        seconds["write"] = rendered["seconds"].get("write", 0.0)
-    lines.append(
-        "  time: " + ", ".join(f"{k} {v:.2f} s" for k, v in seconds.items()) + f"; together {whole:.2f} s"
-    )
+    write = seconds.pop("write")
+    seconds.pop("render")  # for which the engine's own phases stand
+    seconds |= {**stats["times"], "write": write}
+    phases = ", ".join(f"{phase} {s:.2f} s" for phase, s in seconds.items() if s >= 0.005)
+    lines.append(f"  time: {phases}; together {whole:.2f} s")
+    if rendered["stats"].get("cold"):
+        lines.append("  (kernels were compiled, which only a first render does)")
     lines.append(f"  peak memory: {memory / 2**20:,.0f} MB")
     lines += [f"  {Path(path).resolve()}" for path in rendered["files"]]
     return "\n".join(lines)

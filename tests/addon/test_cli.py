@@ -134,7 +134,7 @@ def test_render_writes_what_it_says(blend, tmp_path, capfd):
     settings = frame["stats"]["settings"]
     assert (settings["width"], settings["height"], settings["samples"], settings["seed"]) == (40, 30, 2, 7)
     assert settings["method"] == "distributed" and settings["threads"] == 1
-    assert frame["stats"]["unique_triangles"] == 12 and frame["stats"]["instanced_triangles"] == 48
+    assert frame["stats"]["unique_triangles"] == 12 and frame["stats"]["triangles"] == 48
     assert frame["peak_memory"] > 2**24
     for text in (
         "12 unique, 48 instanced",
