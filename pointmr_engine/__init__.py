@@ -1,7 +1,7 @@
 """PointMR: multi-resolution rendering for scenes whose detail outgrows the screen. Needs no Blender.
 
-    from pointmr_engine import Scene, Group, Mesh, Camera, RenderSettings, render
-    frame = render(Scene(Group("root", [mesh]), Camera(...)), RenderSettings(width=320, height=240))
+from pointmr_engine import Scene, Group, Mesh, Camera, RenderSettings, render
+frame = render(Scene(Group("root", [mesh]), Camera(...)), RenderSettings(width=320, height=240))
 """
 
 from __future__ import annotations

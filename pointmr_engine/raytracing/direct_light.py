@@ -40,7 +40,21 @@ def allocate_shadow_rays(n: int) -> ShadowRays:
 
 
 @_jit
-def choose_points(paths: Paths, samples: Samples, lobes, frames, tables, bounce, alive, n, rows, position, normal, transmissive, u):  # noqa: E501
+def choose_points(
+    paths: Paths,
+    samples: Samples,
+    lobes,
+    frames,
+    tables,
+    bounce,
+    alive,
+    n,
+    rows,
+    position,
+    normal,
+    transmissive,
+    u,
+):  # noqa: E501
     """The points of paths 0..n that light samples are worth it for, with their random numbers; returns how many."""
     m = 0
     for k in range(n):
@@ -58,7 +72,9 @@ def choose_points(paths: Paths, samples: Samples, lobes, frames, tables, bounce,
 
 
 @_jit
-def connect(paths: Paths, hits: Hits, frames, lobes, limits: Limits, lights: LightSamples, rows, m, out: ShadowRays):
+def connect(
+    paths: Paths, hits: Hits, frames, lobes, limits: Limits, lights: LightSamples, rows, m, out: ShadowRays
+):
     """Shadow rays for light samples 0..m of paths `rows`, those that could add anything; returns how many."""
     n = 0
     for i in range(m):

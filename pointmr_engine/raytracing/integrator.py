@@ -43,7 +43,7 @@ class Stage:
     needs: Needs
     limits: Limits
     materials_index: np.ndarray  # (materials,) int32 pass index
-    footprint_scale: float  # of the pixel, that one of its rays stands for
+    texture_share: float  # of a pixel's width, that one of its rays stands for
     tables: tuple = field(default_factory=sobol_tables)
 
 
@@ -55,7 +55,8 @@ class Workspace:
         self.stage = stage
         self.size = n
         self.samples = paths.allocate_samples(n)
-        self.queues = [paths.allocate_paths(n, camera_from_world), paths.allocate_paths(n, camera_from_world)]
+        share = stage.texture_share
+        self.queues = [paths.allocate_paths(n, camera_from_world, share) for _ in range(2)]
         self.hits = allocate_hits(n)
         self.frames = allocate_frames(n)
         self.view = allocate_view(n)
@@ -74,7 +75,7 @@ class Workspace:
             self.waiting = np.zeros(n, np.int32)
         if stage.needs.transparent_shadows and stage.needs.light_samples:
             self.shadow_frames = allocate_frames(n)
-            self.shadow_state = allocate_ray_state(n, camera_from_world)
+            self.shadow_state = allocate_ray_state(n, camera_from_world, share)
             self.shadow_state.kind[:] = RAY_SHADOW
 
     def render_tile(self, tile: film.TileSums, first: int, count: int) -> None:
@@ -249,7 +250,9 @@ class Workspace:
         for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
             getattr(state, name)[rows] = getattr(now.state, name)[source]
         state.transparent_depth[rows] = self.shadows.passed[rows]
-        state.width[rows] = now.state.width[source] + now.state.spread[source] * self.hits.t[source].astype(np.float32)
+        state.width[rows] = now.state.width[source] + now.state.spread[source] * self.hits.t[source].astype(
+            np.float32
+        )
         state.spread[rows] = now.state.spread[source]
         share = stage.shader.transparency_at(
             self.shadows.rays, state, self.shadow_hits, self.shadow_frames, rows
@@ -269,4 +272,3 @@ def _sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None
 def _depths(camera: CameraArrays, position: np.ndarray) -> np.ndarray:
     m = camera.camera_from_world[2]
     return position @ m[:3] + m[3]
-

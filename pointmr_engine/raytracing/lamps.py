@@ -437,19 +437,3 @@ def lamp_pdf_scale(lamps, i, px, py, pz, nx, ny, nz, transmissive, dx, dy, dz, t
     if shape == SUN:
         return 1.0 / (2.0 * math.pi * row[CONE]), 1.0
     return 0.0, 0.0
-
-
-@_jit
-def lamp_falloff(lamps, i, dx, dy, dz):
-    """Share of lamp i's strongest intensity that leaves its centre against the unit direction d."""
-    row = lamps.values[i]
-    if row[SPOT] != 0.0:
-        return _spot_attenuation(row, dx, dy, dz)
-    if lamps.shape[i] < RECTANGLE:
-        return 1.0
-    cosine = -(row[AX] * dx + row[AY] * dy + row[AZ] * dz)
-    if cosine <= 0.0 or row[TAN_SPREAD] == _INF:
-        return max(0.0, cosine)
-    if row[TAN_SPREAD] == 0.0:
-        return 0.0
-    return cosine * _spread_scale(row, cosine) / (row[TAN_SPREAD] * row[SPREAD_SCALE])

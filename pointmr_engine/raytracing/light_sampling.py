@@ -95,7 +95,7 @@ def sample_light(lights, px, py, pz, nx, ny, nz, transmissive, u_select, u1, u2)
     lamps pdf is the probability of the choice. u and v: the place on a triangle.
     """
     tree = lights.tree
-    node, probability = choose_light(tree, lights.lamps, px, py, pz, nx, ny, nz, transmissive, u_select)
+    node, probability = choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u_select)
     if node < 0:
         return -1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
     kind = tree.kind[node]
@@ -199,7 +199,7 @@ def add_seen_lamps(lights, position, direction, t_hit, visibility, normal, trans
                 continue
             if bsdf_pdf[i] < math.inf and lamps.mis[lamp]:
                 leaf = lights.tree.leaf_of_lamp[lamp]
-                pdf *= light_probability(lights.tree, lamps, leaf, px, py, pz, nx, ny, nz, transmissive[i])
+                pdf *= light_probability(lights.tree, leaf, px, py, pz, nx, ny, nz, transmissive[i])
                 scale *= _weight(bsdf_pdf[i], pdf)
             for c in range(3):
                 out[i, c] += lamps.radiance[lamp, c] * scale
@@ -218,9 +218,7 @@ def emitter_pdf(lights, path, triangle, position, normal, transmissive, distance
         if pdf > 0.0:
             leaf = lights.tree.leaf_of_emitter[e]
             nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
-            out[i] = pdf * light_probability(
-                lights.tree, lights.lamps, leaf, px, py, pz, nx, ny, nz, transmissive[i]
-            )
+            out[i] = pdf * light_probability(lights.tree, leaf, px, py, pz, nx, ny, nz, transmissive[i])
 
 
 @_jit
@@ -233,7 +231,6 @@ def world_pdf(lights, position, normal, transmissive, direction, out):
         if pdf > 0.0:
             pdf *= light_probability(
                 lights.tree,
-                lights.lamps,
                 lights.tree.leaf_of_world,
                 position[i, 0],
                 position[i, 1],

@@ -15,7 +15,7 @@ from numba import njit
 from pointmr_engine.raytracing import lamps as lamp_kinds
 from pointmr_engine.raytracing.emitters import BACK, FRONT, Emitters
 from pointmr_engine.raytracing.environment import OFF, WorldMap
-from pointmr_engine.raytracing.lamps import Lamps, lamp_falloff
+from pointmr_engine.raytracing.lamps import Lamps
 
 CLUSTER, LAMP, TRIANGLE, SUN, WORLD = range(5)  # kinds of nodes
 
@@ -26,7 +26,11 @@ CX, CY, CZ, HX, HY, HZ, RADIUS, AX, AY, AZ = range(
 # the cone of the lights' axes: cos and sin of its half angle; cos of that plus the angle of emission; the share of
 # importance against the axis; radiance times area
 COS_O, SIN_O, COS_OE, BEHIND, ENERGY = range(10, 15)
-COLUMNS = 15
+KIND = 15  # as LightTree.kind
+# how a lamp's intensity falls off with the cosine c to its axis: smoothstep((c - EDGE) * STEEP), and a factor
+# LAMBERT ? c : 1, and a factor 1 - GRID * tan
+EDGE, STEEP, LAMBERT, GRID = range(16, 20)
+COLUMNS = 20
 
 _FEW = 16  # lights that are all weighed at every point
 _TOPS = 8  # clusters weighed at the top of a tree
@@ -62,7 +66,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap) -> Light
     far_item = [far_lamps.astype(np.int32)]
     if world.mode != OFF:
         row = np.zeros((1, COLUMNS))
-        row[0, ENERGY] = world.irradiance
+        row[0, ENERGY], row[0, KIND] = world.irradiance, WORLD
         far_values.append(row)
         far_kind.append(np.full(1, WORLD, np.uint8))
         far_item.append(np.zeros(1, np.int32))
@@ -101,6 +105,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap) -> Light
 def _lamp_values(lamps: Lamps, index: np.ndarray) -> np.ndarray:
     """Node values (n, COLUMNS) of the lamps `index`, which have a place."""
     out = np.zeros((len(index), COLUMNS))
+    out[:, KIND], out[:, EDGE], out[:, STEEP] = LAMP, -2.0, 1.0
     for k, i in enumerate(index):
         row, shape = lamps.values[i], lamps.shape[i]
         energy = float(np.abs(lamps.radiance[i]).mean())
@@ -115,21 +120,24 @@ def _lamp_values(lamps: Lamps, index: np.ndarray) -> np.ndarray:
             beyond = math.atan(tangent)
             peak = 1.0 if math.isinf(tangent) else max(tangent * row[lamp_kinds.SPREAD_SCALE], 1e-3)
             cone = (1.0, 0.0, math.cos(beyond), 0.0, energy * area * peak)
+            out[k, LAMBERT], out[k, GRID] = 1.0, 1.0 / max(tangent, 1e-9)
         else:
             radius = row[lamp_kinds.RADIUS]
             out[k, HX : HZ + 1] = out[k, RADIUS] = radius
             energy *= math.pi * radius * radius if radius > 0.0 else 1.0
             if row[lamp_kinds.SPOT]:
                 cone = (1.0, 0.0, max(-1.0, 1.0 - row[lamp_kinds.SPOT_CONE]), 0.0, energy)
+                out[k, EDGE], out[k, STEEP] = row[lamp_kinds.COS_HALF], row[lamp_kinds.SMOOTH]
             else:
                 cone = (-1.0, 0.0, -1.0, 1.0, energy)
-        out[k, COS_O:] = cone
+        out[k, COS_O : ENERGY + 1] = cone
     return out
 
 
 def _sun_values(lamps: Lamps, index: np.ndarray) -> np.ndarray:
     """Node values of suns: the axis leads to the sun, COS_O and SIN_O are of its half angle, ENERGY its irradiance."""
     out = np.zeros((len(index), COLUMNS))
+    out[:, KIND] = SUN
     cone = lamps.values[index, lamp_kinds.CONE]
     sine2 = cone * (2.0 - cone)
     out[:, AX : AZ + 1] = -lamps.values[index, lamp_kinds.AX : lamp_kinds.AZ + 1]
@@ -145,6 +153,7 @@ def _emitter_values(emitters: Emitters) -> np.ndarray:
     out = np.zeros((len(v), COLUMNS))
     if not len(v):
         return out
+    out[:, KIND] = TRIANGLE
     low, high = v.min(1), v.max(1)
     out[:, CX : CZ + 1] = 0.5 * (low + high)
     out[:, HX : HZ + 1] = 0.5 * (high - low)
@@ -190,51 +199,75 @@ def _top_clusters(kind: np.ndarray, item: np.ndarray, values: np.ndarray) -> lis
 
 
 @_jit
-def _facing(v, cosine, cos_u, sin_u):
+def _facing(cosine, cos_u, sin_u, cos_o, sin_o, cos_oe):
     """Cosine at which a cluster's lights shine towards a point, at best: 0 if none of them does.
 
-    cosine: of the angle between the cluster's axis and the direction to the point; u: half angle that the box fills.
+    cosine: of the angle between the cluster's axis and the direction to the point; u: half angle that the box fills;
+    o: half angle of the cone of axes; oe: that and the angle of emission.
     """
     if cosine >= cos_u:
         return 1.0
-    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
-    c = cosine * cos_u + sine * sin_u
-    if c >= v[COS_O]:
+    c = cosine * cos_u + math.sqrt(max(0.0, 1.0 - cosine * cosine)) * sin_u
+    if c >= cos_o:
         return 1.0
-    if c <= v[COS_OE]:
+    if c <= cos_oe:
         return 0.0
-    s = math.sqrt(max(0.0, 1.0 - c * c))
-    return max(0.0, c * v[COS_O] + s * v[SIN_O])
+    return max(0.0, c * cos_o + math.sqrt(max(0.0, 1.0 - c * c)) * sin_o)
 
 
 @_jit
-def node_importance(tree, lamps, node, px, py, pz, nx, ny, nz, transmissive):
-    """Roughly the irradiance that a node's lights give to a point without shadows; 0 only if they give nothing."""
-    v = tree.values[node]
-    kind = tree.kind[node]
-    if kind == WORLD:
-        return v[ENERGY]
-    if kind == SUN:
-        c = v[AX] * nx + v[AY] * ny + v[AZ] * nz
-        if transmissive:
-            c = abs(c)
-        if c >= v[COS_O]:
-            return v[ENERGY]
-        best = c * v[COS_O] + math.sqrt(max(0.0, 1.0 - c * c)) * v[SIN_O]
-        return 0.5 * v[ENERGY] * (max(0.0, best) + max(0.0, c))
-    dx, dy, dz = v[CX] - px, v[CY] - py, v[CZ] - pz
+def _far_importance(values, node, nx, ny, nz, transmissive):
+    """node_importance of suns and the world."""
+    energy = values[node, ENERGY]
+    if values[node, KIND] == WORLD:
+        return energy
+    c = values[node, AX] * nx + values[node, AY] * ny + values[node, AZ] * nz
+    if transmissive:
+        c = abs(c)
+    if c >= values[node, COS_O]:
+        return energy
+    best = c * values[node, COS_O] + math.sqrt(max(0.0, 1.0 - c * c)) * values[node, SIN_O]
+    return 0.5 * energy * (max(0.0, best) + max(0.0, c))
+
+
+@_jit
+def _falloff(values, node, cosine):
+    """Share of a lamp's strongest intensity that leaves its centre at an angle to its axis."""
+    t = min(1.0, max(0.0, (cosine - values[node, EDGE]) * values[node, STEEP]))
+    share = t * t * (3.0 - 2.0 * t)
+    if values[node, LAMBERT] != 0.0:
+        if cosine <= 0.0:
+            return 0.0
+        sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+        share = max(0.0, cosine - values[node, GRID] * sine)
+    return share
+
+
+@_jit
+def node_importance(values, node, px, py, pz, nx, ny, nz, transmissive):
+    """Roughly the irradiance that a node's lights give to a point without shadows; 0 only if they give nothing.
+
+    values: LightTree.values, all that is read, for calls with whole trees are slow.
+    """
+    kind = values[node, KIND]
+    if kind >= SUN:
+        return _far_importance(values, node, nx, ny, nz, transmissive)
+    dx, dy, dz = values[node, CX] - px, values[node, CY] - py, values[node, CZ] - pz
     facing = nx * dx + ny * dy + nz * dz
-    if not transmissive and facing + abs(nx) * v[HX] + abs(ny) * v[HY] + abs(nz) * v[HZ] <= 0.0:
-        return 0.0
+    if not transmissive:
+        reach = abs(nx) * values[node, HX] + abs(ny) * values[node, HY] + abs(nz) * values[node, HZ]
+        if facing + reach <= 0.0:
+            return 0.0
     d2 = dx * dx + dy * dy + dz * dz
-    r2 = v[RADIUS] * v[RADIUS]
-    near = v[ENERGY] / max(d2, max(0.25 * r2, 1e-300))
+    radius = values[node, RADIUS]
+    r2 = radius * radius
+    near = values[node, ENERGY] / max(d2, max(0.25 * r2, 1e-300))
     if d2 <= r2 * 1.000001:
         return near
-    d = math.sqrt(d2)
-    sin_u = v[RADIUS] / d
+    inverse = 1.0 / math.sqrt(d2)
+    sin_u = radius * inverse
     cos_u = math.sqrt(max(0.0, 1.0 - sin_u * sin_u))
-    c = facing / d
+    c = facing * inverse
     if transmissive:
         c = abs(c)
     best = 1.0
@@ -242,37 +275,51 @@ def node_importance(tree, lamps, node, px, py, pz, nx, ny, nz, transmissive):
         best = c * cos_u + math.sqrt(max(0.0, 1.0 - c * c)) * sin_u
         if best <= 0.0:
             return 0.0
-    axis = -(v[AX] * dx + v[AY] * dy + v[AZ] * dz) / d
-    shine = _facing(v, axis, cos_u, sin_u)
-    if v[BEHIND] > 0.0:
-        shine = max(shine, v[BEHIND] * _facing(v, -axis, cos_u, sin_u))
+    axis = -(values[node, AX] * dx + values[node, AY] * dy + values[node, AZ] * dz) * inverse
+    cos_o, sin_o, cos_oe = values[node, COS_O], values[node, SIN_O], values[node, COS_OE]
+    behind = values[node, BEHIND]
+    shine = _facing(axis, cos_u, sin_u, cos_o, sin_o, cos_oe)
+    if behind > 0.0:
+        shine = max(shine, behind * _facing(-axis, cos_u, sin_u, cos_o, sin_o, cos_oe))
     if shine <= 0.0:
         return 0.0
     # the mean of a bound and of what the centre would give: neither misses light nor wastes samples on the edge
-    if kind == CLUSTER:
-        likely = _facing(v, axis, 1.0, 0.0)
-        if v[BEHIND] > 0.0:
-            likely = max(likely, v[BEHIND] * _facing(v, -axis, 1.0, 0.0))
+    if kind == TRIANGLE:
+        likely = max(axis, -axis * behind)
     elif kind == LAMP:
-        likely = lamp_falloff(lamps, tree.item[node], dx / d, dy / d, dz / d)
+        likely = _falloff(values, node, axis)
     else:
-        likely = max(axis, -axis * v[BEHIND])
+        likely = _facing(axis, 1.0, 0.0, cos_o, sin_o, cos_oe)
+        if behind > 0.0:
+            likely = max(likely, behind * _facing(-axis, 1.0, 0.0, cos_o, sin_o, cos_oe))
     return 0.5 * near * (best * shine + max(0.0, c) * max(0.0, likely))
 
 
 @_jit
-def choose_light(tree, lamps, px, py, pz, nx, ny, nz, transmissive, u):
+def _weigh(values, kind, item, node, px, py, pz, nx, ny, nz, transmissive):
+    """Importance of a node; of a pair of lights the sum of theirs, so that few pairs promise more than they hold."""
+    if kind[node] == CLUSTER:
+        child = item[node]
+        if kind[child] != CLUSTER and kind[child + 1] != CLUSTER:
+            first = node_importance(values, child, px, py, pz, nx, ny, nz, transmissive)
+            return first + node_importance(values, child + 1, px, py, pz, nx, ny, nz, transmissive)
+    return node_importance(values, node, px, py, pz, nx, ny, nz, transmissive)
+
+
+@_jit
+def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
     """Choose a leaf: (node, probability); node -1 if nothing lights the point."""
+    values, kind, item, tops = tree.values, tree.kind, tree.item, tree.tops
     total = 0.0
     chosen = -1
     weight = 0.0
-    for k in range(len(tree.tops)):
-        w = node_importance(tree, lamps, tree.tops[k], px, py, pz, nx, ny, nz, transmissive)
+    for k in range(len(tops)):
+        w = _weigh(values, kind, item, tops[k], px, py, pz, nx, ny, nz, transmissive)
         if w > 0.0:
             total += w
             share = w / total
             if u < share:
-                chosen = tree.tops[k]
+                chosen = tops[k]
                 weight = w
                 u = u / share
             else:
@@ -280,10 +327,10 @@ def choose_light(tree, lamps, px, py, pz, nx, ny, nz, transmissive, u):
     if chosen < 0:
         return -1, 0.0
     probability = weight / total
-    while tree.kind[chosen] == CLUSTER:
-        left = tree.item[chosen]
-        a = node_importance(tree, lamps, left, px, py, pz, nx, ny, nz, transmissive)
-        b = node_importance(tree, lamps, left + 1, px, py, pz, nx, ny, nz, transmissive)
+    while kind[chosen] == CLUSTER:
+        left = item[chosen]
+        a = _weigh(values, kind, item, left, px, py, pz, nx, ny, nz, transmissive)
+        b = _weigh(values, kind, item, left + 1, px, py, pz, nx, ny, nz, transmissive)
         if a + b <= 0.0:
             return -1, 0.0
         share = a / (a + b)
@@ -299,24 +346,25 @@ def choose_light(tree, lamps, px, py, pz, nx, ny, nz, transmissive, u):
 
 
 @_jit
-def light_probability(tree, lamps, leaf, px, py, pz, nx, ny, nz, transmissive):
+def light_probability(tree, leaf, px, py, pz, nx, ny, nz, transmissive):
     """Probability with which `choose_light` chooses that leaf."""
+    values, kind, item, tops = tree.values, tree.kind, tree.item, tree.tops
     probability = 1.0
     node = leaf
     while tree.top[node] < 0:
         parent = tree.parent[node]
-        left = tree.item[parent]
-        own = node_importance(tree, lamps, node, px, py, pz, nx, ny, nz, transmissive)
+        left = item[parent]
+        own = _weigh(values, kind, item, node, px, py, pz, nx, ny, nz, transmissive)
         if own <= 0.0:
             return 0.0
         other = left + 1 if node == left else left
-        rest = node_importance(tree, lamps, other, px, py, pz, nx, ny, nz, transmissive)
+        rest = _weigh(values, kind, item, other, px, py, pz, nx, ny, nz, transmissive)
         probability *= own / (own + rest)
         node = parent
-    own = node_importance(tree, lamps, node, px, py, pz, nx, ny, nz, transmissive)
+    own = _weigh(values, kind, item, node, px, py, pz, nx, ny, nz, transmissive)
     if own <= 0.0:
         return 0.0
     total = 0.0
-    for k in range(len(tree.tops)):
-        total += node_importance(tree, lamps, tree.tops[k], px, py, pz, nx, ny, nz, transmissive)
+    for k in range(len(tops)):
+        total += _weigh(values, kind, item, tops[k], px, py, pz, nx, ny, nz, transmissive)
     return probability * own / total

@@ -51,7 +51,9 @@ class Paths(NamedTuple):
     state: RayState
     throughput: np.ndarray  # (N, 3) float32
     bsdf_pdf: np.ndarray  # (N,) float64 of the ray's direction; inf: lights were not sampled for it
-    origin_normal: np.ndarray  # (N, 3) float32 shading normal where the ray starts, for light sampling densities
+    origin_normal: (
+        np.ndarray
+    )  # (N, 3) float32 shading normal where the ray starts, for light sampling densities
     origin_transmissive: np.ndarray  # (N,) bool
     flags: np.ndarray  # (N,) uint8
     slot: np.ndarray  # (N,) int32
@@ -82,11 +84,11 @@ class Limits(NamedTuple):
     lobe_spread: float  # how much of a lobe's width one of its rays stands for
 
 
-def allocate_paths(n: int, camera_from_world: np.ndarray | None = None) -> Paths:
+def allocate_paths(n: int, camera_from_world: np.ndarray | None = None, texture_share: float = 1.0) -> Paths:
     """Room for n paths."""
     return Paths(
         allocate_rays(n),
-        allocate_ray_state(n, camera_from_world),
+        allocate_ray_state(n, camera_from_world, texture_share),
         np.ones((n, 3), np.float32),
         np.full(n, np.inf),
         np.zeros((n, 3), np.float32),
@@ -329,7 +331,9 @@ def _turn(paths: Paths, k, hits, frames, lobes, limits, wo, label, alpha, out: P
 
 
 @_jit
-def advance(paths: Paths, samples: Samples, hits, frames, lobes, limits, tables, bounce, alive, out: Paths, n):
+def advance(
+    paths: Paths, samples: Samples, hits, frames, lobes, limits, tables, bounce, alive, out: Paths, n
+):
     """Sample the lobes of the paths 0..n that are alive; those that go on are written to `out`. Returns how many."""
     m = 0
     for k in range(n):

@@ -72,7 +72,18 @@ class Shader:
         # materials that add nothing to a path that may not scatter again
         self.dull = np.array([p.opaque and not p.emissive for p in programs] + [True], np.bool_)
 
-    def lobes_at(self, rays: Rays, state: RayState, hits: Hits, frames: Frames, view: View, wanted, n, order, out: Lobes):
+    def lobes_at(
+        self,
+        rays: Rays,
+        state: RayState,
+        hits: Hits,
+        frames: Frames,
+        view: View,
+        wanted,
+        n,
+        order,
+        out: Lobes,
+    ):
         """Fill the lobes of the wanted rows (n,) bool of 0..n; all others are emptied."""
         lobe_kernels.reset(out, View(*(a[:n] for a in view)))
         start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
@@ -84,7 +95,9 @@ class Shader:
             for leaf in program.evaluate(points):
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
 
-    def transparency_at(self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray) -> np.ndarray:
+    def transparency_at(
+        self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray
+    ) -> np.ndarray:
         """(len(rows), 3) float32: how much light the surfaces at `rows` let straight through."""
         share = np.zeros((len(rows), 3), np.float32)
         material = frames.material[rows]
