@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import bpy
 import numpy as np
 
 from pointmr_engine.scene.texture import Image
@@ -78,8 +79,6 @@ class ImageSync:
 
     def _read_sequence(self, image, frame: int) -> Image | None:
         """The file of one frame, through a short-lived image of its own; None where that fails."""
-        import bpy
-
         path = Path(bpy.path.abspath(image.filepath, library=image.library))
         digits = len(path.stem) - len(path.stem.rstrip("0123456789"))
         if not digits:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
+
+from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.material import Material
 
 from .images import ImageSync
 from .nodes import translate
-from pointmr_engine.scene.graph import Graph, Link, Node
-from pointmr_engine.scene.material import Material
 
 # nodes of Blender 5 that only Blender itself can unroll
 _ZONES = ("Repeat", "Closure", "Bundle", "MenuSwitch", "EvaluateClosure", "IndexSwitch")
@@ -110,8 +112,6 @@ def unrolled_tree(owner, constructor: str):
 
     What is returned owns the tree: keep it while reading.
     """
-    import bpy
-
     inliner = getattr(bpy.types, "InlineShaderNodes", None)
     if inliner is None or not _has_zones(owner.node_tree, set()):
         return None

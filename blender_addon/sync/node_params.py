@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-TABLE_SIZE = 256  # as Cycles samples ramps and curves
+TABLE_SIZE = 257  # as Cycles samples ramps and curves
 
 
 def _ramp(node, context) -> dict:

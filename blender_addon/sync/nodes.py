@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from .node_table import Rule, params_of, rule_of
+import bpy
+
 from pointmr_engine.scene.graph import Graph, Link, Node
+
+from .node_table import Rule, params_of, rule_of
 
 _WRAPPERS = {"VALUE": "value", "INT": "value", "BOOLEAN": "value", "RGBA": "rgb", "VECTOR": "identity_vector"}
 _WRAPPED = {"value": ("value", "value"), "rgb": ("color", "color"), "identity_vector": ("vector", "vector")}
@@ -30,6 +33,7 @@ class Translator:
         self.images = images
         self.report = report
         self.graph = Graph()
+        self._converts = bpy.app.version < (5, 0, 0)
         self._waiting: list[tuple[str, Any, Scope, Rule]] = []
         self._said: set[str] = set()
 
@@ -102,7 +106,11 @@ class Translator:
         outer = next((s for s in scope.group.inputs if s.identifier == output.identifier), None)
         if outer is None:
             return constant_of(asking)
-        return self._converted(self.value(outer, scope.outer), outer, scope, f"input {outer.identifier}")
+        value = self.value(outer, scope.outer)
+        if value is None and outer.type in _WRAPPERS:
+            # a hidden value is a value here: inner sockets read it instead of the point
+            value = plain(outer.default_value)
+        return self._converted(value, outer, scope, f"input {outer.identifier}")
 
     def _from_group(self, group, output, scope: Scope, asking) -> Link | Any:
         """A group's output: what feeds it inside."""
@@ -120,9 +128,12 @@ class Translator:
         return self._converted(self.value(socket, inner), socket, inner, f"output {socket.identifier}")
 
     def _converted(self, value: Link | Any, socket, scope: Scope, name: str) -> Link | Any:
-        """A value that passes a group's border takes the type of the border's socket."""
+        """A value that passes a group's border takes the type of the border's socket, before Blender 5.
+
+        Since 5.0 groups are inlined before conversions are made.
+        """
         kind = _WRAPPERS.get(socket.type)
-        if not isinstance(value, Link) or kind is None:
+        if not self._converts or not isinstance(value, Link) or kind is None:
             return value
         into, out = _WRAPPED[kind]
         key = f"{scope.path}{name}"
@@ -147,8 +158,6 @@ class Translator:
 
     def _view_layer_attribute(self, node, output) -> Any:
         """A custom property or RNA path of the view layer or scene: one value for the whole image."""
-        import bpy
-
         value: Any = None
         for owner in (bpy.context.view_layer, bpy.context.scene, getattr(bpy.context.scene, "world", None)):
             if owner is None or value is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.shading.nodes import NODES, SHADERS
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, From, NodeType, varies_with
+from pointmr_engine.shading.values import LUMINANCE
 
 
 class Constant(NamedTuple):
@@ -42,7 +43,7 @@ def constant(value: Any, kind: str) -> Constant:
     a = np.atleast_1d(np.asarray(value, np.float32)).ravel()[:3]
     if kind == FLOAT:
         if len(a) == 3:
-            a = a @ np.array([0.2126729, 0.7151522, 0.0721750], np.float32)
+            a = a @ LUMINANCE
         return Constant(np.asarray(a, np.float32).reshape(-1)[:1], FLOAT)
     if len(a) != 3:
         a = np.repeat(a[:1], 3) if len(a) == 1 else np.append(a, 0)[:3].astype(np.float32)

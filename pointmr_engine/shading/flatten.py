@@ -182,7 +182,7 @@ def _normals(
         if name == "coat_normal" and _is_zero(inputs["coat_weight"]):
             continue
         if name in inputs:
-            if not isinstance(inputs[name], Constant):
+            if not _is_zero(inputs[name]):
                 found[name] = inputs[name]
         elif builder.normal is not None:
             found[name] = builder.normal

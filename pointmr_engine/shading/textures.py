@@ -86,7 +86,7 @@ def _premultiply(pixels: np.ndarray) -> np.ndarray:
     out = pixels.copy()
     if pixels.dtype == np.uint8:
         color = pixels[..., :3].astype(np.uint16) * pixels[..., 3:]
-        out[..., :3] = (color + 127) // 255
+        out[..., :3] = color // 255  # rounded down, as readers of files do
     else:
         out[..., :3] *= pixels[..., 3:]
     return out

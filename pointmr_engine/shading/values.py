@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 # Rec.709 luminance of scene-linear RGB
-LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750], np.float32)
+LUMINANCE = np.array([0.2126390, 0.7151687, 0.0721923], np.float32)
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Node types, one module per subject. Importing this package registers them all; kernels are imported when first run."""
+"""Node types, one module per subject. Importing this package registers them all; kernels come when first run."""
 
 from pointmr_engine.shading.nodes import (
     bump,
@@ -9,7 +9,9 @@ from pointmr_engine.shading.nodes import (
     inputs,
     lights,
     math,
+    noise,
     normals,
+    procedural,
     ramps,
     shaders,
     texture_coordinates,

@@ -11,14 +11,31 @@ from pointmr_engine.shading.nodes.inputs import (
     radial_tangent,
 )
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, From, node
-from pointmr_engine.shading.values import cross, dot, normalize, saturate, transform_direction
+from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.values import cross, dot, inverse_linear, normalize, saturate, transform_direction
 
 
 def _normal_map_reads(params: dict, wanted: frozenset[str]) -> list[str]:
     space = params.get("space", "TANGENT")
     if space == "TANGENT":
-        return [f"tangent:{params.get('layer', '')}", "smooth_normal", "backfacing"]
+        return [f"tangent:{params.get('layer', '')}", "smooth_normal", "backfacing", "world_from_part"]
     return ["backfacing"] + ["world_from_part"] * ("OBJECT" in space)
+
+
+def object_frame(points: SurfacePoints, tangents: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Tangent, bitangent and smooth normal (n, 3) in the object's space, where normal maps were made.
+
+    tangents (n, 4): world tangents and the sign that makes sign * cross(normal, tangent) the world bitangent.
+    """
+    tangent, up, sign = tangents[:, :3], points.smooth_normal, tangents[:, 3:]
+    m = points.world_from_part
+    if m is not None:
+        linear = inverse_linear(m)
+        tangent = normalize(np.einsum("...ij,...j->...i", linear, tangent).astype(np.float32))
+        up = normal_to_object(points, up)
+        # a mirrored object turns its frames over
+        sign = sign * np.where(np.linalg.det(m[..., :3]) < 0, -1, 1)[:, None]
+    return tangent, cross(up, tangent) * sign, up
 
 
 @node(
@@ -38,13 +55,11 @@ def _normal_map(c: Call) -> np.ndarray:
     strength = c.vector("strength")
     shading = c["shading_normal"]
     if space == "TANGENT":
-        tangent = points.tangents[c.params.get("layer", "")]
-        up = points.smooth_normal
         x, y = color[:, :1] * strength, color[:, 1:2] * strength
         z = 1 + (color[:, 2:] - 1) * saturate(strength)
-        across = cross(up, tangent[:, :3]) * tangent[:, 3:]
-        n = normalize(x * tangent[:, :3] + y * across + z * up)
-        n = np.where((tangent[:, :3] == 0).all(1)[:, None], up, n)
+        tangent, across, up = object_frame(points, points.tangents[c.params.get("layer", "")])
+        n = normal_to_world(points, x * tangent + y * across + z * up)
+        n = np.where((tangent == 0).all(1)[:, None], points.smooth_normal, n)
         n = np.where(points.backfacing[:, None], -n, n)
     else:
         if space.startswith("BLENDER"):
