@@ -26,7 +26,6 @@ from benchmarks.report import cell, markdown
 
 MAX_REL_MSE = 0.002
 MAX_FLIP = {"feature": 0.03, "real": 0.08, "blend": 0.08}
-REAL_REFERENCE = 512  # samples of a real scene's reference: their bound is on FLIP, and they take minutes
 
 
 class Keeper:
@@ -55,23 +54,24 @@ def lay_over(name: str, options, keepers: dict[str, Keeper]) -> dict:
         source = sources.find(name)
         record["kind"] = source.kind
         size = options.size or source.size
-        reference_samples = options.reference_samples if source.kind == "feature" else REAL_REFERENCE
+        feature = source.kind == "feature"
+        reference_samples = options.reference_samples if feature else options.real_reference_samples
         cycles = keepers["cycles"]
-        if source.kind != "feature":
+        if not feature:
             cycles.close()  # so that a big scene's memory goes with its process
         truth = reference(
             source, size, reference_samples, options.threads, Path(options.cache), worker=LazyWorker(cycles)
         )
-        method = Method(options.method, options.samples if source.kind == "feature" else options.real_samples)
+        method = Method(options.method, options.samples if feature else options.real_samples)
         keeper = keepers["method"]
-        if source.kind != "feature":
+        if not feature:
             keeper.close()
         worker = keeper.get()
         worker.load(source.argument, method, size, options.threads)
         images, answers = [], []
         folder = out / "renders"
         folder.mkdir(parents=True, exist_ok=True)
-        for seed in (FIRST_SEED, FIRST_SEED + 1)[: 2 if source.kind == "feature" else 1]:
+        for seed in (FIRST_SEED, FIRST_SEED + 1)[: 2 if feature else 1]:
             path = folder / f"{name}-{method.name}-{seed}.exr"
             answers.append(worker.render(seed, path))
             images.append(read_exr(str(path))[0])
@@ -87,7 +87,7 @@ def lay_over(name: str, options, keepers: dict[str, Keeper]) -> dict:
         "peak_mb": answers[-1]["peak_mb"],
         "missing": answers[0]["missing"],
     }
-    enough = source.kind != "feature" or record["rel_mse"] < MAX_REL_MSE
+    enough = not feature or record["rel_mse"] < MAX_REL_MSE
     record["passed"] = bool(enough and record["flip"] < MAX_FLIP[source.kind] and not record["not_finite"])
     sheet = pictures.comparison(images[0], truth.image, name, method.label)
     picture = out / "pictures" / f"{name}.png"
@@ -133,6 +133,17 @@ def table(records: list[dict]) -> str:
     return "\n".join([text, *failures])
 
 
+PREAMBLE = f"""\
+`{{method}}` at {{samples}} samples a pixel ({{real_samples}} on real scenes) against Cycles at {{reference_samples}}
+({{real_reference_samples}}): same film, filter and bounces, no diffuse bounces; adaptive sampling, denoiser and
+clamping off.
+
+relMSE = mean((I-R)^2/(R^2+0.01)) of one render, noise and all; noise is its variance, from two seeds; bias is
+relMSE less the noise of render and reference, and scatters around zero. FLIP is its mean, LDR, 67 pixels per degree,
+Standard view. A feature scene passes below relMSE {MAX_REL_MSE} and FLIP {MAX_FLIP["feature"]}, a real scene below
+FLIP {MAX_FLIP["real"]}."""
+
+
 def document(records: list[dict], command: str, options) -> str:
     """The Markdown page: the command, what is measured, one table for each kind of scene."""
     kinds = defaultdict(list)
@@ -143,15 +154,7 @@ def document(records: list[dict], command: str, options) -> str:
         "",
         f"`{command}`",
         "",
-        f"`{options.method}` at {options.samples} samples a pixel ({options.real_samples} on real scenes) against Cycles "
-        f"at {options.reference_samples} ({REAL_REFERENCE} on real scenes): same film, filter and bounces, no diffuse "
-        "bounces; adaptive sampling, denoiser and clamping off.",
-        "",
-        "relMSE = mean((I-R)^2/(R^2+0.01)) of one render, noise and all; noise is its variance, from two seeds; bias is "
-        "relMSE less the noise of render and reference, and scatters around zero. FLIP is its mean, LDR, 67 pixels per "
-        "degree, Standard view. "
-        f"A feature scene passes below relMSE {MAX_REL_MSE} and FLIP {MAX_FLIP['feature']}, a real scene below FLIP "
-        f"{MAX_FLIP['real']}.",
+        PREAMBLE.format(**vars(options)),
     ]
     for kind, title in (("feature", "Feature scenes"), ("real", "Real scenes"), ("blend", "Files")):
         if kinds[kind]:
@@ -181,6 +184,7 @@ def arguments(argv: list[str] | None = None):
     parser.add_argument("--samples", type=int, default=256)
     parser.add_argument("--real-samples", type=int, default=256)
     parser.add_argument("--reference-samples", type=int, default=1024)
+    parser.add_argument("--real-reference-samples", type=int, default=512)
     parser.add_argument("--size", type=lambda t: tuple(int(v) for v in t.split("x")))
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--out", default="out/overlay")

@@ -29,12 +29,12 @@ from benchmarks.features.stage import (
 )
 
 
-def _stage(key=2.0, fill=0.25) -> None:
+def _stage(key=2.0, fill=0.25, power=300.0) -> None:
     """Studio with a second, warm light from the right, so that reflections have something to show.
 
     key: sides of the softbox. Where paths find it only by chance, a wider one makes the same light with less noise.
     """
-    studio(fill=fill, key=key)
+    studio(fill=fill, key=key, power=power)
     lamp("AREA", 60, (3.4, -2.0, 2.5), color=(1.0, 0.75, 0.5), shape="RECTANGLE", size=0.6 * key, size_y=2.0)
 
 
@@ -116,7 +116,7 @@ def principled_diffuse_roughness():
 
 
 def _glass_stage() -> None:
-    _stage(key=4.5, fill=0.4)
+    _stage(key=4.5, fill=0.6, power=150.0)
     plane(_card(), (0, 2.6, 1.3), 6.0, (1.45, 0, 0), uv_scale=2.0)
 
 

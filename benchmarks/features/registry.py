@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-SIZE = (128, 96)
+SIZE = (96, 72)
 
 
 @dataclass(frozen=True)
