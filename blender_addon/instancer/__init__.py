@@ -22,6 +22,16 @@ ROTATION_FROM = (
 )
 
 
+def _changed(self, _context) -> None:
+    self.id_data.update_tag()
+
+
+def _collection_changed(self, _context) -> None:
+    ob = self.id_data
+    ob.instance_collection = ob.instance_collection  # what a pointer in a property group does not: renew relations
+    ob.update_tag()
+
+
 class PointMRObjectSettings(bpy.types.PropertyGroup):
     """PointMR's instancer, at `object.pointmr`: places a collection without Blender expanding it."""
 
@@ -29,28 +39,33 @@ class PointMRObjectSettings(bpy.types.PropertyGroup):
         name="Collection",
         description="Collection to place; its objects, and what they instance in turn, reach the renderer unexpanded",
         type=bpy.types.Collection,
+        update=_collection_changed,
     )
     instance_on: EnumProperty(
         name="Instance On",
         description="Where the collection is placed",
         items=INSTANCE_ON,
         default="ORIGIN",
+        update=_changed,
     )
     rotation_from: EnumProperty(
         name="Rotation",
         description="How instances on points are rotated",
         items=ROTATION_FROM,
         default="ATTRIBUTE",
+        update=_changed,
     )
     rotation_attribute: StringProperty(
         name="Rotation Attribute",
         description="Point attribute: a rotation, or a vector of Euler angles in radians",
         default="rotation",
+        update=_changed,
     )
     scale_attribute: StringProperty(
         name="Scale Attribute",
         description="Point attribute: a number, or a vector with a scale for each axis",
         default="scale",
+        update=_changed,
     )
     index_attribute: StringProperty(
         name="Index Attribute",
@@ -59,16 +74,19 @@ class PointMRObjectSettings(bpy.types.PropertyGroup):
             "each by name; below 0, or without the attribute, the whole collection"
         ),
         default="index",
+        update=_changed,
     )
     reset_children: BoolProperty(
         name="Reset Children",
         description="Place a child picked by index by its own origin, not by where it stands in the collection",
         default=True,
+        update=_changed,
     )
     show_bounds: BoolProperty(
         name="Show Bounds",
         description="Show the instances as boxes in the viewport",
         default=True,
+        update=_changed,
     )
     native_source: PointerProperty(
         name="Native Instancer",

@@ -23,7 +23,10 @@ def corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def geometry_set(ob):
-    return ob.evaluated_geometry() if hasattr(ob, "evaluated_geometry") else None
+    try:
+        return ob.evaluated_geometry()
+    except (AttributeError, RuntimeError, TypeError):  # an old Blender, or a kind of object that has no geometry
+        return None
 
 
 class BoundsOf:
@@ -50,7 +53,8 @@ class BoundsOf:
     def parts(self, ob) -> list[np.ndarray]:
         """Boxes in an object's space: of itself, and of what it instances."""
         result = []
-        if ob.type in {"MESH", "CURVE", "SURFACE", "FONT", "META", "CURVES", "POINTCLOUD", "VOLUME"}:
+        shown = ob.type in {"CURVE", "SURFACE", "FONT", "META", "CURVES", "POINTCLOUD", "VOLUME"}
+        if shown or (ob.type == "MESH" and len(ob.data.polygons)):
             box = np.array([c[:] for c in ob.bound_box])
             result.append(np.stack([box.min(0), box.max(0)]))
         if ob.instance_type == "COLLECTION" and ob.instance_collection is not None:

@@ -22,7 +22,8 @@ def from_native(ob, context) -> bpy.types.Object:
     """Turn a native instancer into PointMR's; returns the object that is the instancer now.
 
     A collection instance changes in place, and so does geometry that `to_native` gave a modifier. Instances on vertices
-    and faces and of geometry nodes become a new object of points; the old one stays, without its instances.
+    and faces and of geometry nodes become a new object of points; the old one stays, without its instances (and without
+    the nodes that made them), hidden if it showed nothing else.
     """
     if ob.pointmr.instance_collection is not None:
         raise ConversionError("it is a PointMR instancer already")
@@ -103,6 +104,12 @@ def bake_points(ob, context) -> bpy.types.Object:
             for c in source.users_collection:
                 if c != collection:
                     c.objects.unlink(source)
+    own = evaluated.data
+    points["pointmr_hid_source"] = not ob.hide_render and not (
+        ob.show_instancer_for_render and len(getattr(own, "polygons", ()))
+    )
+    if points["pointmr_hid_source"]:  # it showed only its instances
+        ob.hide_render = True
     ob.instance_type = "NONE"
     return points
 
@@ -112,6 +119,8 @@ def unbake_points(ob) -> bpy.types.Object:
     source, collection = ob.pointmr.native_source, ob.pointmr.instance_collection
     kind = ob.get("pointmr_instance_type", "NONE")
     source.instance_type = kind
+    if ob.get("pointmr_hid_source"):
+        source.hide_render = False
     for name in ob.get("pointmr_modifiers", ()):
         if name in source.modifiers:
             source.modifiers[name].show_render = source.modifiers[name].show_viewport = True

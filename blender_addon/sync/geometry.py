@@ -194,7 +194,7 @@ class GeometrySync:
             if hasattr(ob, "evaluated_geometry"):
                 try:
                     self._sets[key] = ob.evaluated_geometry()
-                except RuntimeError:
+                except (RuntimeError, TypeError):  # of a kind that has no geometry
                     pass
         return self._sets[key]
 
