@@ -84,7 +84,10 @@ class Worker:
     def stop(self) -> None:
         """Ask it to drop its frame."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            if sys.platform == "win32":
+                self.process.terminate()
+            else:
+                self.process.send_signal(signal.SIGINT)
 
 
 def _environment() -> dict[str, str]:

@@ -22,7 +22,8 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         if not getattr(options, "worker", False):  # whose parent says it for all
             print("pointmr: interrupted; finished frames are kept", file=sys.stderr)
-        return INTERRUPTED
+        sys.stdout.flush()
+        os._exit(INTERRUPTED)  # a normal exit would wait for a kernel that is being compiled
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED

@@ -108,6 +108,8 @@ class Workspace:
         frames(stage.shader.geometry, now.rays, hits, surface, 0, n)
         alive = hits.triangle[:n] >= 0
         self._met_lights(now, rays, n, alive, bounce)
+        if bounce and stage.needs.surface_passes:
+            self._empty_passes(tile, now, n, alive)
         final = (now.flags[:n] & FINAL) != 0
         np.logical_and(alive, ~(final & stage.shader.dull[surface.material[:n]]), out=alive)
         if not alive.any():
@@ -184,6 +186,13 @@ class Workspace:
                 tile.emission, self.samples.pixel[now.slot[first]], emission[first] * now.throughput[first], 0,
                 len(first),
             )  # fmt: skip
+
+    def _empty_passes(self, tile, now, n: int, alive) -> None:
+        """Nothing, where a pixel's first ray ends behind surfaces too transparent for the unfiltered passes."""
+        rows = np.flatnonzero(~alive & ((now.flags[:n] & (BACKDROP | PASSES_DONE)) == BACKDROP))
+        rows = rows[self.samples.number[now.slot[rows]] == 0]
+        if len(rows):
+            film.write_nothing(tile, self.samples.pixel[now.slot[rows]], 0, len(rows))
 
     def _surface_passes(self, tile, now, n: int, alive) -> None:
         """What the passes keep of the first surfaces, those that transparent ones let through included."""
