@@ -51,7 +51,9 @@ class RayState(NamedTuple):
     spread: np.ndarray  # (N,) float32, growth of that width per metre
     window: np.ndarray  # (N, 2) float32, position in the image, 0..1
     camera_from_world: np.ndarray  # (3, 4) float64
-    texture_share: float  # of the width, over which textures are filtered: less than 1 where many rays share a pixel
+    texture_share: (
+        float  # of the width, over which textures are filtered: less than 1 where many rays share a pixel
+    )
 
 
 def allocate_frames(n: int) -> Frames:
@@ -269,7 +271,8 @@ def frames(
 
 
 def _samples(hits: Hits, chosen) -> Samples:
-    u, v = hits.u[chosen].astype(np.float64), hits.v[chosen].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # weights of misses are undefined
+        u, v = hits.u[chosen].astype(np.float64), hits.v[chosen].astype(np.float64)
     return Samples(hits.part[chosen], hits.triangle[chosen], u, v, hits.world_from_part[chosen])
 
 
@@ -435,9 +438,7 @@ def _fill_surface(
         elif need == "object_location":
             points.object_location = samples.world_from_part[:, :, 3].astype(np.float32)
         elif need == "moved":
-            points.moved = _mover(
-                geometry, points, samples, own, needs, direction, width, texture_share
-            )
+            points.moved = _mover(geometry, points, samples, own, needs, direction, width, texture_share)
         elif kind == "uv":
             points.uvs[name] = _layer_values(geometry, "uv", name, samples, 2)
         elif kind == "attribute":

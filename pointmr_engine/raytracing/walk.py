@@ -150,6 +150,10 @@ def walk_shape(
     if best < 0:
         return best, np.inf, best_u, best_v
     t64 = point_distance(blocks, best_block, best_lane, best_u, best_v, ox, oy, oz, dx, dy, dz)
+    # the plane's distance is exact for this very ray, unless it grazes and so leaves the triangle within rounding
+    plane = plane_distance(blocks, best_block, best_lane, ox, oy, oz, dx, dy, dz)
+    if abs(plane - t64) * length <= 8.0 * pad and plane > t_min and plane < t_max[1]:
+        t64 = plane
     return best, t64, best_u, best_v
 
 
@@ -238,18 +242,18 @@ def _trace(arrays, rays, hits, scratch, start, stop, any_hit):
         level, sp, bottom = 0, 0, 0
         group, flags, path = root, np.int64(VISIBLE), np.uint64(0)
         node = np.int64(arrays.group_root[root])
-        entering = True
+        entering, length, shift, pad, last_t = True, 1.0, 0.0, 0.0, np.float32(0)
         while True:
-            if entering and node != _EMPTY and node < 0:
-                entering = False  # a single item: nothing to test before it
-            if entering:  # a group's space, from above or from below
+            if entering and (
+                node >= 0 or node == _EMPTY
+            ):  # a group of several items, from above or from below
                 center = arrays.group_center[group]
                 length, shift, pad, _, _, near, scale, shift_near, shift_far = localize(
                     ox - center[0], oy - center[1], oz - center[2], dx, dy, dz, arrays.group_radius[group]
                 )
                 first_t = np.float32(t_min * length - shift - pad)
                 last_t = np.float32((t_max if any_hit else best_t) * length - shift + pad)
-                entering = False
+            entering = False
             if node >= 0:
                 mask = slab_test(
                     arrays.boxes, node, near, scale, shift_near, shift_far, first_t, last_t, entry
