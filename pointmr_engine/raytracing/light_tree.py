@@ -32,18 +32,22 @@ KIND = 15  # as LightTree.kind
 EDGE, STEEP, LAMBERT, GRID = range(16, 20)
 COLUMNS = 20
 
-_FEW = 16  # lights that are all weighed at every point
-_TOPS = 8  # clusters weighed at the top of a tree
+_FEW = 32  # lights that are all weighed at every point
+_TOPS = 16  # clusters weighed at the top of a tree
 _CLOSED = 0.05  # importance of the inside of closed meshes
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class LightTree(NamedTuple):
-    """Nodes over all lights. Children lie side by side, after their parent."""
+    """Nodes over all lights: near lights in the order of the tree, distant ones, then clusters.
+
+    A cluster has two children, side by side, or none: then it is a bucket of few lights, all weighed.
+    """
 
     kind: np.ndarray  # (M,) uint8
-    item: np.ndarray  # (M,) int32: lamp or emitter; a cluster's first child
+    item: np.ndarray  # (M,) int32: lamp or emitter; a cluster's first child, -1: it is a bucket
+    span: np.ndarray  # (M, 2) int32: first and behind-last light of a cluster
     parent: np.ndarray  # (M,) int32, -1 where none
     top: np.ndarray  # (M,) int32: place in `tops`, -1 below and above them
     tops: np.ndarray  # (K,) int32: the nodes among which a light is first chosen; they cover each light once
@@ -56,43 +60,52 @@ class LightTree(NamedTuple):
 def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap) -> LightTree:
     """The tree over all lamps, emissive triangles and the world."""
     distant = np.isin(lamps.shape, (lamp_kinds.DISTANT, lamp_kinds.SUN))
-    near_lamps = np.flatnonzero(~distant)
-    values = np.concatenate([_lamp_values(lamps, near_lamps), _emitter_values(emitters)])
-    kind = np.repeat(np.array([LAMP, TRIANGLE], np.uint8), [len(near_lamps), len(emitters.path)])
-    item = np.concatenate([near_lamps, np.arange(len(emitters.path))]).astype(np.int32)
-    far_lamps = np.flatnonzero(distant)
-    far_values = [_sun_values(lamps, far_lamps)]
-    far_kind = [np.full(len(far_lamps), SUN, np.uint8)]
-    far_item = [far_lamps.astype(np.int32)]
+    near, far = np.flatnonzero(~distant), np.flatnonzero(distant)
+    values = np.concatenate([_lamp_values(lamps, near), _emitter_values(emitters)])
+    item = np.concatenate([near, np.arange(len(emitters.path))]).astype(np.int32)
+    far_values, far_item = _sun_values(lamps, far), far
     if world.mode != OFF:
         row = np.zeros((1, COLUMNS))
         row[0, ENERGY], row[0, KIND] = world.irradiance, WORLD
-        far_values.append(row)
-        far_kind.append(np.full(1, WORLD, np.uint8))
-        far_item.append(np.zeros(1, np.int32))
-    parent = np.full(len(kind), -1, np.int32)
-    tops = list(range(len(kind)))
-    if len(kind) > _FEW:
-        kind, item, parent, values = _cluster(kind, item, values)
-        tops = _top_clusters(kind, item, values)
-    far = len(kind)
-    kind = np.concatenate([kind, *far_kind])
-    item = np.concatenate([item, *far_item])
-    values = np.concatenate([values, *far_values])
-    parent = np.concatenate([parent, np.full(len(kind) - far, -1, np.int32)])
-    tops = np.array(tops + list(range(far, len(kind))), np.int32)
+        far_values, far_item = np.concatenate([far_values, row]), np.append(far, 0)
+    n, lights = len(item), len(item) + len(far_item)
+    if n > _FEW:
+        from pointmr_engine.raytracing import light_tree_build
+
+        order, span, above, child = light_tree_build.split(values)
+        values, item = values[order], item[order]
+        clusters = light_tree_build.gather(values, span, child)
+        bucket = np.flatnonzero(child < 0)
+        of_light = np.zeros(n, np.int32)
+        of_light[span[bucket, 0]] = 1
+        of_light = bucket[np.argsort(span[bucket, 0])][np.cumsum(of_light) - 1] + lights
+        parent = np.concatenate(
+            [of_light, np.full(len(far_item), -1), np.where(above < 0, -1, above + lights)]
+        )
+        child = np.where(child < 0, -1, child + lights)
+        tops = [k + lights for k in _top_clusters(child - lights, clusters)]
+    else:
+        clusters, span, child = np.zeros((0, COLUMNS)), np.zeros((0, 2), np.int32), np.zeros(0, np.int32)
+        parent = np.full(lights, -1)
+        tops = list(range(n))
+    values = np.concatenate([values, far_values, clusters])
+    kind = values[:, KIND].astype(np.uint8)
+    item = np.concatenate([item, far_item, child]).astype(np.int32)
+    own = np.arange(lights, dtype=np.int32)
+    tops = np.array([*tops, *range(n, lights)], np.int32)
     top = np.full(len(kind), -1, np.int32)
     top[tops] = np.arange(len(tops))
     leaf_of_lamp = np.full(len(lamps.shape), -1, np.int32)
     leaf_of_emitter = np.full(len(emitters.path), -1, np.int32)
     for leaf_of, kinds in ((leaf_of_lamp, (LAMP, SUN)), (leaf_of_emitter, (TRIANGLE,))):
-        leaves = np.flatnonzero(np.isin(kind, kinds))
+        leaves = np.flatnonzero(np.isin(kind[:lights], kinds))
         leaf_of[item[leaves]] = leaves
     worlds = np.flatnonzero(kind == WORLD)
     return LightTree(
         kind,
         item,
-        parent,
+        np.concatenate([np.stack([own, own + 1], 1), span]).astype(np.int32),
+        parent.astype(np.int32),
         top,
         tops,
         np.ascontiguousarray(values),
@@ -170,30 +183,15 @@ def _emitter_values(emitters: Emitters) -> np.ndarray:
     return out
 
 
-def _cluster(kind: np.ndarray, item: np.ndarray, values: np.ndarray):
-    """(kind, item, parent, values) of a binary tree whose leaves are the given ones."""
-    from pointmr_engine.raytracing import light_tree_build
-
-    order, node_range, parent, first_child = light_tree_build.split(values)
-    leaf = first_child < 0
-    out = np.zeros((len(parent), COLUMNS))
-    source = order[node_range[leaf, 0]]
-    out[leaf] = values[source]
-    light_tree_build.gather(out, first_child)
-    kinds, items = np.full(len(parent), CLUSTER, np.uint8), first_child.astype(np.int32)
-    kinds[leaf], items[leaf] = kind[source], item[source]
-    return kinds, items, parent, out
-
-
-def _top_clusters(kind: np.ndarray, item: np.ndarray, values: np.ndarray) -> list[int]:
-    """Nodes that cover the tree, those opened that are large and bright."""
+def _top_clusters(first_child: np.ndarray, clusters: np.ndarray) -> list[int]:
+    """Clusters that cover the tree, those opened that are large and bright."""
     tops = [0]
     while len(tops) < _TOPS:
-        weight = [values[n, ENERGY] * values[n, RADIUS] if kind[n] == CLUSTER else -1.0 for n in tops]
+        weight = [clusters[k, ENERGY] * clusters[k, RADIUS] if first_child[k] >= 0 else -1.0 for k in tops]
         best = int(np.argmax(weight))
         if weight[best] < 0.0:
             break
-        child = int(item[tops.pop(best)])
+        child = int(first_child[tops.pop(best)])
         tops += [child, child + 1]
     return tops
 
@@ -296,25 +294,25 @@ def node_importance(values, node, px, py, pz, nx, ny, nz, transmissive):
 
 
 @_jit
-def _weigh(values, kind, item, node, px, py, pz, nx, ny, nz, transmissive):
-    """Importance of a node; of a pair of lights the sum of theirs, so that few pairs promise more than they hold."""
-    if kind[node] == CLUSTER:
-        child = item[node]
-        if kind[child] != CLUSTER and kind[child + 1] != CLUSTER:
-            first = node_importance(values, child, px, py, pz, nx, ny, nz, transmissive)
-            return first + node_importance(values, child + 1, px, py, pz, nx, ny, nz, transmissive)
-    return node_importance(values, node, px, py, pz, nx, ny, nz, transmissive)
+def _weigh(values, item, span, node, px, py, pz, nx, ny, nz, transmissive):
+    """Importance of a node; of a bucket the sum of its lights', which promises no more than they hold."""
+    if values[node, KIND] != CLUSTER or item[node] >= 0:
+        return node_importance(values, node, px, py, pz, nx, ny, nz, transmissive)
+    total = 0.0
+    for light in range(span[node, 0], span[node, 1]):
+        total += node_importance(values, light, px, py, pz, nx, ny, nz, transmissive)
+    return total
 
 
 @_jit
 def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
-    """Choose a leaf: (node, probability); node -1 if nothing lights the point."""
-    values, kind, item, tops = tree.values, tree.kind, tree.item, tree.tops
+    """Choose a light's node: (node, probability); node -1 if nothing lights the point."""
+    values, item, span, tops = tree.values, tree.item, tree.span, tree.tops
     total = 0.0
     chosen = -1
     weight = 0.0
     for k in range(len(tops)):
-        w = _weigh(values, kind, item, tops[k], px, py, pz, nx, ny, nz, transmissive)
+        w = _weigh(values, item, span, tops[k], px, py, pz, nx, ny, nz, transmissive)
         if w > 0.0:
             total += w
             share = w / total
@@ -327,44 +325,65 @@ def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
     if chosen < 0:
         return -1, 0.0
     probability = weight / total
-    while kind[chosen] == CLUSTER:
+    while values[chosen, KIND] == CLUSTER and item[chosen] >= 0:
         left = item[chosen]
-        a = _weigh(values, kind, item, left, px, py, pz, nx, ny, nz, transmissive)
-        b = _weigh(values, kind, item, left + 1, px, py, pz, nx, ny, nz, transmissive)
+        a = _weigh(values, item, span, left, px, py, pz, nx, ny, nz, transmissive)
+        b = _weigh(values, item, span, left + 1, px, py, pz, nx, ny, nz, transmissive)
         if a + b <= 0.0:
             return -1, 0.0
         share = a / (a + b)
         if u < share:
             chosen = left
+            weight = a
             u = u / share
             probability *= share
         else:
             chosen = left + 1
+            weight = b
             u = (u - share) / (1.0 - share)
             probability *= b / (a + b)
-    return chosen, probability
+    if values[chosen, KIND] != CLUSTER:
+        return chosen, probability
+    # a bucket: walk along its lights' weights, whose sum is known
+    u *= weight
+    light = -1
+    w = 0.0
+    for k in range(span[chosen, 0], span[chosen, 1]):
+        next_w = node_importance(values, k, px, py, pz, nx, ny, nz, transmissive)
+        if next_w > 0.0:
+            light = k
+            w = next_w
+            if u < w:
+                break
+            u -= w
+    return light, probability * w / weight
 
 
 @_jit
 def light_probability(tree, leaf, px, py, pz, nx, ny, nz, transmissive):
-    """Probability with which `choose_light` chooses that leaf."""
-    values, kind, item, tops = tree.values, tree.kind, tree.item, tree.tops
+    """Probability with which `choose_light` chooses that light's node."""
+    values, item, span, tops = tree.values, tree.item, tree.span, tree.tops
     probability = 1.0
     node = leaf
+    own = node_importance(values, node, px, py, pz, nx, ny, nz, transmissive)
     while tree.top[node] < 0:
-        parent = tree.parent[node]
-        left = item[parent]
-        own = _weigh(values, kind, item, node, px, py, pz, nx, ny, nz, transmissive)
         if own <= 0.0:
             return 0.0
-        other = left + 1 if node == left else left
-        rest = _weigh(values, kind, item, other, px, py, pz, nx, ny, nz, transmissive)
-        probability *= own / (own + rest)
+        parent = tree.parent[node]
+        left = item[parent]
+        if left < 0:
+            total = _weigh(values, item, span, parent, px, py, pz, nx, ny, nz, transmissive)
+            probability *= own / total
+            own = total
+        else:
+            other = left + 1 if node == left else left
+            rest = _weigh(values, item, span, other, px, py, pz, nx, ny, nz, transmissive)
+            probability *= own / (own + rest)
+            own = _weigh(values, item, span, parent, px, py, pz, nx, ny, nz, transmissive)
         node = parent
-    own = _weigh(values, kind, item, node, px, py, pz, nx, ny, nz, transmissive)
     if own <= 0.0:
         return 0.0
     total = 0.0
     for k in range(len(tops)):
-        total += _weigh(values, kind, item, tops[k], px, py, pz, nx, ny, nz, transmissive)
+        total += _weigh(values, item, span, tops[k], px, py, pz, nx, ny, nz, transmissive)
     return probability * own / total

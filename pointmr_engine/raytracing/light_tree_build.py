@@ -7,9 +7,22 @@ import math
 import numpy as np
 from numba import njit
 
-from pointmr_engine.raytracing.light_tree import AX, BEHIND, COS_O, COS_OE, CX, ENERGY, HX, RADIUS, SIN_O
+from pointmr_engine.raytracing.light_tree import (
+    AX,
+    BEHIND,
+    COLUMNS,
+    COS_O,
+    COS_OE,
+    CX,
+    ENERGY,
+    HX,
+    KIND,
+    RADIUS,
+    SIN_O,
+)
 
 _BINS = 12
+BUCKET = 8  # lights that are not divided further
 # columns of a bin: lower and upper corner, sum of energy-weighted axes, energy, number of lights
 _LOW, _HIGH, _AXIS, _SUM, _COUNT = 0, 3, 6, 9, 10
 
@@ -17,17 +30,24 @@ _jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 def split(values: np.ndarray):
-    """Divide n lights until each is alone: (order (n,), node_range (2n-1, 2), parent (2n-1,), first_child (2n-1,)).
+    """Divide n lights into buckets of at most BUCKET: (order (n,), span (C, 2), parent (C,), first_child (C,)).
 
-    Node k holds the lights order[node_range[k, 0] : node_range[k, 1]]; first_child is -1 for leaves.
+    Cluster k, a child after its parent, holds the lights order[span[k, 0] : span[k, 1]]; first_child -1: a bucket.
     """
     n = len(values)
     order = np.arange(n, dtype=np.int32)
-    node_range = np.zeros((2 * n - 1, 2), np.int32)
-    parent = np.full(2 * n - 1, -1, np.int32)
-    first_child = np.full(2 * n - 1, -1, np.int32)
-    _split(values, order, np.empty(n, np.int32), node_range, parent, first_child, np.empty((3, _BINS, 11)))
-    return order, node_range, parent, first_child
+    span = np.zeros((2 * n, 2), np.int32)
+    parent = np.full(2 * n, -1, np.int32)
+    child = np.full(2 * n, -1, np.int32)
+    count = _split(values, order, np.empty(n, np.int32), span, parent, child, np.empty((3, _BINS, 11)))
+    return order, span[:count].copy(), parent[:count].copy(), child[:count].copy()
+
+
+def gather(lights: np.ndarray, span: np.ndarray, first_child: np.ndarray) -> np.ndarray:
+    """(C, COLUMNS) values of the clusters over `lights`, which are in the order of the tree."""
+    out = np.zeros((len(span), COLUMNS))
+    _gather(out, lights, span, first_child)
+    return out
 
 
 @_jit
@@ -116,13 +136,13 @@ def _best_split(values, order, first, last, bins):
 
 
 @_jit
-def _split(values, order, spare, node_range, parent, first_child, bins):
-    node_range[0, 0], node_range[0, 1] = 0, len(order)
+def _split(values, order, spare, span, parent, first_child, bins):
+    span[0, 0], span[0, 1] = 0, len(order)
     count = 1
     node = 0
     while node < count:
-        first, last = node_range[node, 0], node_range[node, 1]
-        if last - first > 1:
+        first, last = span[node, 0], span[node, 1]
+        if last - first > BUCKET:
             middle = first
             axis, border, low, width = _best_split(values, order, first, last, bins)
             if axis >= 0:
@@ -140,67 +160,76 @@ def _split(values, order, spare, node_range, parent, first_child, bins):
                 middle = (first + last) // 2
             first_child[node] = count
             for k in range(2):
-                node_range[count + k, 0] = first if k == 0 else middle
-                node_range[count + k, 1] = middle if k == 0 else last
+                span[count + k, 0] = first if k == 0 else middle
+                span[count + k, 1] = middle if k == 0 else last
                 parent[count + k] = node
             count += 2
         node += 1
+    return count
 
 
 @_jit
 def _union_cone(out, a, b):
-    """Cone of axes around those of two nodes."""
-    out[BEHIND] = max(a[BEHIND], b[BEHIND])
-    out[COS_OE] = -1.0
-    out[COS_O], out[SIN_O] = -1.0, 0.0
-    out[AX], out[AX + 1], out[AX + 2] = 0.0, 0.0, 1.0
-    if a[COS_O] <= -1.0 or b[COS_O] <= -1.0:
-        return
-    angle_a, angle_b = math.acos(min(1.0, a[COS_O])), math.acos(min(1.0, b[COS_O]))
-    emission = max(
-        math.acos(max(-1.0, min(1.0, a[COS_OE]))) - angle_a,
-        math.acos(max(-1.0, min(1.0, b[COS_OE]))) - angle_b,
-    )
-    dot = a[AX] * b[AX] + a[AX + 1] * b[AX + 1] + a[AX + 2] * b[AX + 2]
-    turn = 1.0
-    if dot < 0.0 and a[BEHIND] == 1.0 and b[BEHIND] == 1.0:
-        turn, dot = -1.0, -dot
-    between = math.acos(max(-1.0, min(1.0, dot)))
-    if between + angle_b <= angle_a:
-        out[AX : AX + 3] = a[AX : AX + 3]
-        angle = angle_a
-    elif between + angle_a <= angle_b:
-        out[AX : AX + 3] = b[AX : AX + 3]
-        angle = angle_b
-    else:
-        angle = 0.5 * (angle_a + between + angle_b)
-        if angle >= math.pi or between > 3.1415:
-            return
-        # turn a's axis towards b's so that both cones touch the new one's border
-        x = math.sin(between - (angle - angle_a)) / math.sin(between)
-        y = turn * math.sin(angle - angle_a) / math.sin(between)
-        for k in range(3):
-            out[AX + k] = x * a[AX + k] + y * b[AX + k]
-    angle = min(math.pi, angle + 1e-6)
-    out[COS_O], out[SIN_O] = math.cos(angle), math.sin(angle)
-    out[COS_OE] = math.cos(min(math.pi, angle + emission + 1e-6))
+    """Cone of axes around those of two nodes; `out` may be one of them."""
+    behind_a, behind_b = a[BEHIND], b[BEHIND]
+    out_cos, out_sin, out_oe = -1.0, 0.0, -1.0
+    x, y, z = 0.0, 0.0, 1.0
+    if a[COS_O] > -1.0 and b[COS_O] > -1.0:
+        angle_a, angle_b = math.acos(min(1.0, a[COS_O])), math.acos(min(1.0, b[COS_O]))
+        emission_a = math.acos(max(-1.0, min(1.0, a[COS_OE]))) - angle_a
+        emission_b = math.acos(max(-1.0, min(1.0, b[COS_OE]))) - angle_b
+        dot = a[AX] * b[AX] + a[AX + 1] * b[AX + 1] + a[AX + 2] * b[AX + 2]
+        turn = 1.0
+        if dot < 0.0 and behind_a == 1.0 and behind_b == 1.0:
+            turn, dot = -1.0, -dot
+        between = math.acos(max(-1.0, min(1.0, dot)))
+        angle = max(angle_a, angle_b)
+        share_a, share_b = (1.0, 0.0) if angle_a >= angle_b else (0.0, 1.0)
+        if between + min(angle_a, angle_b) > angle:
+            # turn a's axis towards b's so that both cones touch the new one's border
+            angle = 0.5 * (angle_a + between + angle_b)
+            if between < 3.1415:
+                share_a = math.sin(between - (angle - angle_a)) / math.sin(between)
+                share_b = turn * math.sin(angle - angle_a) / math.sin(between)
+            else:
+                angle = math.pi
+        angle += 1e-6  # rounding must not leave an axis outside
+        if angle < math.pi:
+            x = share_a * a[AX] + share_b * b[AX]
+            y = share_a * a[AX + 1] + share_b * b[AX + 1]
+            z = share_a * a[AX + 2] + share_b * b[AX + 2]
+            out_cos, out_sin = math.cos(angle), math.sin(angle)
+            out_oe = math.cos(min(math.pi, angle + max(emission_a, emission_b) + 1e-6))
+    out[BEHIND] = max(behind_a, behind_b)
+    out[COS_O], out[SIN_O], out[COS_OE] = out_cos, out_sin, out_oe
+    out[AX], out[AX + 1], out[AX + 2] = x, y, z
 
 
 @_jit
-def gather(values, first_child):
-    """Fill in the clusters' values from their children's, the last node first."""
+def _unite(out, a, b):
+    """Box, energy and cone of two nodes; `out` may be one of them."""
+    box = 0.0
+    _union_cone(out, a, b)
+    for k in range(3):
+        low = min(a[CX + k] - a[HX + k], b[CX + k] - b[HX + k])
+        high = max(a[CX + k] + a[HX + k], b[CX + k] + b[HX + k])
+        out[CX + k] = 0.5 * (low + high)
+        out[HX + k] = 0.5 * (high - low)
+        box += out[HX + k] * out[HX + k]
+    out[RADIUS] = math.sqrt(box)
+    out[ENERGY] = a[ENERGY] + b[ENERGY]
+
+
+@_jit
+def _gather(clusters, lights, span, first_child):
+    """From the last cluster, so children before parents."""
     for node in range(len(first_child) - 1, -1, -1):
         child = first_child[node]
-        if child < 0:
+        if child >= 0:
+            _unite(clusters[node], clusters[child], clusters[child + 1])
             continue
-        out, a, b = values[node], values[child], values[child + 1]
-        square = 0.0
-        for k in range(3):
-            low = min(a[CX + k] - a[HX + k], b[CX + k] - b[HX + k])
-            high = max(a[CX + k] + a[HX + k], b[CX + k] + b[HX + k])
-            out[CX + k] = 0.5 * (low + high)
-            out[HX + k] = 0.5 * (high - low)
-            square += out[HX + k] * out[HX + k]
-        out[RADIUS] = math.sqrt(square)
-        out[ENERGY] = a[ENERGY] + b[ENERGY]
-        _union_cone(out, a, b)
+        for c in range(COLUMNS):
+            clusters[node, c] = lights[span[node, 0], c]
+        for light in range(span[node, 0] + 1, span[node, 1]):
+            _unite(clusters[node], clusters[node], lights[light])
+        clusters[node, KIND] = 0.0
