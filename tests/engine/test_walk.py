@@ -9,6 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from instanced import (
+    Flat,
+    accelerate,
+    cast,
+    nest,
+    random_mesh,
+    random_transforms,
+    scene_rays,
+    sphere,
+)
 
 from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
 from pointmr_engine.hierarchy.geometry import compile_geometry
@@ -19,16 +29,6 @@ from pointmr_engine.scene.group import CAMERA, GLOSSY, HOLDOUT, SHADOW, VISIBLE,
 from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.mesh import Mesh
 from pointmr_engine.scene.scene import Scene
-from tests.engine.instanced import (
-    Flat,
-    accelerate,
-    cast,
-    nest,
-    random_mesh,
-    random_transforms,
-    scene_rays,
-    sphere,
-)
 
 seeds = st.integers(0, 2**32 - 1)
 
