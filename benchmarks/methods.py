@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+ENGINES = {"cycles": "CYCLES", "nothing": "JUDGE_NOTHING"}
 OURS = ("conventional", "distributed", "raytrace", "forward")
 PROTOCOL = (
     3  # raise when the settings below change what an image shows: cached references are then rendered anew
@@ -12,14 +13,14 @@ PROTOCOL = (
 
 @dataclass(frozen=True)
 class Method:
-    """A renderer and its samples per pixel: "cycles" or one of our methods."""
+    """A renderer and its samples per pixel: "cycles", one of our methods, or "nothing": what Blender itself takes."""
 
     name: str
     samples: int
 
     @property
     def label(self) -> str:
-        return self.name if self.name == "conventional" else f"{self.name}:{self.samples}"
+        return self.name if self.name in ("conventional", "nothing") else f"{self.name}:{self.samples}"
 
 
 def parse_methods(words: list[str]) -> list[Method]:
@@ -27,8 +28,8 @@ def parse_methods(words: list[str]) -> list[Method]:
     methods = []
     for word in words:
         name, _, counts = word.partition(":")
-        if name != "cycles" and name not in OURS:
-            raise ValueError(f"method '{name}' is not one of cycles, {', '.join(OURS)}")
+        if name not in (*OURS, "cycles", "nothing"):
+            raise ValueError(f"method '{name}' is not one of cycles, nothing, {', '.join(OURS)}")
         methods += [Method(name, int(c)) for c in (counts or "1").split(",")]
     return methods
 
@@ -84,7 +85,7 @@ def configure(scene, method: Method, seed: int, size, overrides: dict, threads: 
     size: (width, height) in pixels, or None for the scene's own. threads: 0 for one per core.
     """
     render = scene.render
-    render.engine = "CYCLES" if method.name == "cycles" else "POINTMR"
+    render.engine = ENGINES.get(method.name, "POINTMR")
     if size:
         render.resolution_x, render.resolution_y = size
         render.resolution_percentage = 100
@@ -101,6 +102,8 @@ def configure(scene, method: Method, seed: int, size, overrides: dict, threads: 
     scene.view_settings.look = "None"
     scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
 
+    if method.name == "nothing":
+        return []
     settings = SHARED | overrides
     missing = []
     if method.name == "cycles":

@@ -83,7 +83,7 @@ def bounds(depsgraph=None):
     return lo, hi
 
 
-def frame(direction=(0.6, -1.0, 0.45), lens=50.0, margin=0.75, target=None, extent=None) -> None:
+def frame(direction=(0.6, -1.0, 0.45), lens=50.0, margin=1.0, target=None, extent=None) -> None:
     """Add a camera that looks along -direction and holds all that renders (or `extent` metres about `target`)."""
     import bpy
     import numpy as np

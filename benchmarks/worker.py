@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import json
 import os
 import resource
@@ -45,7 +46,7 @@ def record_our_stats() -> dict:
     import blender_addon
 
     blender_addon.register()
-    import pointmr_engine.render as module
+    module = importlib.import_module("pointmr_engine.render")  # the package shows the function by this name
 
     record: dict = {}
     original = module.render
@@ -68,6 +69,20 @@ def our_phases(stats: dict) -> dict:
     return {"render": float(render)} if isinstance(render, int | float) else {}
 
 
+def register_nothing() -> None:
+    """Register a render engine that leaves the image black: what remains is Blender's own time and memory."""
+    import bpy
+
+    class Nothing(bpy.types.RenderEngine):
+        bl_idname, bl_label = "JUDGE_NOTHING", "Nothing"
+
+        def render(self, depsgraph):
+            render = depsgraph.scene_eval.render
+            self.end_result(self.begin_result(0, 0, render.resolution_x, render.resolution_y))
+
+    bpy.utils.register_class(Nothing)
+
+
 class Job:
     """A loaded scene that can be rendered again and again with one method."""
 
@@ -78,7 +93,9 @@ class Job:
 
         self.method = methods.Method(order["method"], order["samples"])
         self.size, self.threads = order["size"], order["threads"]
-        self.stats = record_our_stats() if self.method.name != "cycles" else {}
+        if self.method.name == "nothing":
+            register_nothing()
+        self.stats = record_our_stats() if self.method.name in methods.OURS else {}
         self.baseline = peak_mb()
         source = sources.find(order["scene"])
         source.load()
