@@ -1,7 +1,7 @@
 """Hashes of integers and float bits as procedural textures need them: Jenkins' lookup3 and PCG in 2 to 4 dimensions.
 
-They fix where every noise pattern lies, so they are the ones that Cycles uses. References: burtleburtle.net/bob/c/lookup3.c;
-Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9(3), 2020.
+They fix where every noise pattern lies, so they are the ones that Cycles uses. References:
+burtleburtle.net/bob/c/lookup3.c; Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9(3), 2020.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from pointmr_engine.shading.nodes import (
     procedural,
     ramps,
     shaders,
+    sky,
     texture_coordinates,
     vector,
 )

@@ -64,8 +64,9 @@ def ignores_nothing(params: dict[str, Any], wanted: frozenset[str]) -> Iterable[
 class NodeType:
     """An operation. `evaluate(call)` returns its outputs by name (those in call.wanted at least).
 
-    inputs: name -> (type, default constant or From); outputs: name -> type. reads(params, wanted): what it takes from the
-    points, in the vocabulary of Program.needs. ignores(params, wanted): inputs that it then does not read. varying: what its outputs vary with beyond what it reads.
+    inputs: name -> (type, default constant or From); outputs: name -> type. reads(params, wanted): what it takes from
+    the points, in the vocabulary of Program.needs. ignores(params, wanted): inputs that it then does not read.
+    varying: what its outputs vary with beyond what it reads.
     differenced: inputs that it also evaluates at moved points. prepare(params): done once, when a graph is compiled.
     passes(params, constants): name of the input that is the result unchanged, or None.
     footprint: name of the vector input whose footprint it reads as the hidden input "footprint".
