@@ -83,9 +83,9 @@ def edge_met_exactly(blocks, block, lane, axes, origin, shear):
 
     The products of single precision coordinates are exact in double precision, so neighbours agree on every edge.
     """
-    x0, y0, z0 = _sheared(blocks, block, lane, 0, axes, origin, shear)
-    x1, y1, z1 = _sheared(blocks, block, lane, 1, axes, origin, shear)
-    x2, y2, z2 = _sheared(blocks, block, lane, 2, axes, origin, shear)
+    x0, y0, z0 = _sheared(blocks, block, lane, np.int64(0), axes, origin, shear)
+    x1, y1, z1 = _sheared(blocks, block, lane, np.int64(1), axes, origin, shear)
+    x2, y2, z2 = _sheared(blocks, block, lane, np.int64(2), axes, origin, shear)
     a = x2 * y1 - y2 * x1
     b = x0 * y2 - y0 * x2
     c = x1 * y0 - y1 * x0
@@ -109,9 +109,9 @@ def _sheared(blocks, block, lane, vertex, axes, origin, shear):
 @njit(cache=True, nogil=True, error_model="numpy")
 def plane_distance(blocks, block, lane, ox, oy, oz, dx, dy, dz):
     """Parameter t, in double precision, at which a ray meets the plane of a block's triangle (NaN: parallel)."""
-    ax, ay, az = _vertex(blocks, block, lane, 0)
-    bx, by, bz = _vertex(blocks, block, lane, 1)
-    cx, cy, cz = _vertex(blocks, block, lane, 2)
+    ax, ay, az = _vertex(blocks, block, lane, np.int64(0))
+    bx, by, bz = _vertex(blocks, block, lane, np.int64(1))
+    cx, cy, cz = _vertex(blocks, block, lane, np.int64(2))
     bx, by, bz = bx - ax, by - ay, bz - az
     cx, cy, cz = cx - ax, cy - ay, cz - az
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
@@ -121,9 +121,9 @@ def plane_distance(blocks, block, lane, ox, oy, oz, dx, dy, dz):
 @njit(cache=True, nogil=True, error_model="numpy")
 def point_distance(blocks, block, lane, u, v, ox, oy, oz, dx, dy, dz):
     """Parameter t, in double precision, of the point of a block's triangle with barycentric weights u, v."""
-    ax, ay, az = _vertex(blocks, block, lane, 0)
-    bx, by, bz = _vertex(blocks, block, lane, 1)
-    cx, cy, cz = _vertex(blocks, block, lane, 2)
+    ax, ay, az = _vertex(blocks, block, lane, np.int64(0))
+    bx, by, bz = _vertex(blocks, block, lane, np.int64(1))
+    cx, cy, cz = _vertex(blocks, block, lane, np.int64(2))
     p, q = np.float64(u), np.float64(v)
     x = ax + p * (bx - ax) + q * (cx - ax) - ox
     y = ay + p * (by - ay) + q * (cy - ay) - oy

@@ -204,7 +204,7 @@ def _describe(arrays, chain, length, hits, n):
         flags = combined_flags(instances, batch, i, flags)
         where = instances.seed[batch]
         if where[0] >= 0:
-            seed = combine_seeds(seed, instances.seed_values[_value_at(where, i)])
+            seed = np.uint32(combine_seeds(seed, instances.seed_values[_value_at(where, i)]))
         where = instances.object_index[batch]
         if where[0] >= 0 and instances.object_index_values[_value_at(where, i)] >= 0:
             index = instances.object_index_values[_value_at(where, i)]
@@ -237,9 +237,10 @@ def _trace(arrays, rays, hits, scratch, start, stop, any_hit):
         if not (size > 0.0 and np.isfinite(size + ox + oy + oz) and t_min < t_max):
             continue
         wanted = np.int64(rays.visibility[n]) & VISIBLE
-        best, best_t, best_part, best_length = np.int64(_MISS), t_max, np.int64(-1), 0
+        best, best_t, best_part, best_length = np.int64(_MISS), t_max, np.int64(-1), np.int64(0)
         best_u, best_v = np.float32(0), np.float32(0)
-        level, sp, bottom = 0, 0, 0
+        # typed, for a literal 0 would have the kernels below compiled twice
+        level, sp, bottom = np.int64(0), np.int64(0), np.int64(0)
         group, flags, path = root, np.int64(VISIBLE), np.uint64(0)
         node = np.int64(arrays.group_root[root])
         entering, length, shift, pad, last_t = True, 1.0, 0.0, 0.0, np.float32(0)
