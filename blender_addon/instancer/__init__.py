@@ -28,7 +28,7 @@ def _changed(self, _context) -> None:
 
 def _collection_changed(self, _context) -> None:
     ob = self.id_data
-    ob.instance_collection = ob.instance_collection  # what a pointer in a property group does not: renew relations
+    ob.instance_type = ob.instance_type  # renews the relations, which a pointer in a property group does not
     ob.update_tag()
 
 

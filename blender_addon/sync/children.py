@@ -33,9 +33,17 @@ def dupli_frames(ob, mesh):
 
 def child_transforms(ob, child, relative: np.ndarray, frames, positions: np.ndarray) -> np.ndarray:
     """Placements (N, 3, 4) of a child in its instancer's space; relative (4, 4): instancer_from_child."""
-    linear = relative[:3, :3]
+    linear, start = relative[:3, :3], relative[:3, 3]
+    out = np.empty((len(positions), 3, 4))
     if ob.instance_type == "FACES":
-        linear = linear @ matrix(child.matrix_parent_inverse)[:3, :3] @ frames
-    elif frames is not None:
-        linear = linear @ transforms.track_matrices(frames, child.track_axis, child.up_axis)
-    return transforms.affine(linear, positions + relative[:3, 3])
+        linear = linear @ matrix(child.matrix_parent_inverse)[:3, :3]
+    for i in range(0, len(out), transforms.CHUNK):
+        rows = slice(i, i + transforms.CHUNK)
+        own = linear
+        if ob.instance_type == "FACES":
+            own = linear @ frames[rows]
+        elif frames is not None:
+            own = linear @ transforms.track_matrices(frames[rows], child.track_axis, child.up_axis)
+        out[rows, :, :3] = own
+        out[rows, :, 3] = positions[rows] + start
+    return out

@@ -86,14 +86,14 @@ def point_transforms(ob, geometry_set, watch):
     if source is None:
         return None
     positions, normals, data = source
-    n, settings = len(positions), ob.pointmr
-    linear = rotations(data, normals, settings, ob, watch)
-    size = scales(data, settings, ob, watch)
-    return (
-        transforms.affine(linear * size[:, None, :], positions),
-        indices(data, settings, n, ob, watch),
-        data,
-    )
+    turn = rotations(data, normals, ob, watch)
+    size = scales(data, ob.pointmr, ob, watch)
+    at = np.empty((len(positions), 3, 4))
+    for i in range(0, len(at), transforms.CHUNK):
+        rows = slice(i, i + transforms.CHUNK)
+        at[rows, :, :3] = turn(rows) * (size[rows] if len(size) > 1 else size)[:, None, :]
+        at[rows, :, 3] = positions[rows]
+    return at, indices(data, ob.pointmr, len(at), ob, watch), data
 
 
 def point_data(ob, geometry_set):
@@ -137,22 +137,19 @@ def point_attribute(data, name: str, kinds: set[str], ob, watch) -> np.ndarray |
     return attributes.read_values(found)
 
 
-def rotations(data, normals, settings, ob, watch) -> np.ndarray:
-    """Rotations (N, 3, 3) or (1, 3, 3) of the points."""
+def rotations(data, normals, ob, watch):
+    """A function of rows (a slice) that gives the rotations (n, 3, 3) or (1, 3, 3) of these points."""
+    settings = ob.pointmr
     if settings.rotation_from == "NORMAL":
         if normals is not None:
-            return transforms.track_matrices(normals, "POS_Z", "Y")
+            return lambda rows: transforms.track_matrices(normals[rows], "POS_Z", "Y")
         watch.warn(f"object '{ob.name}': its points have no normals")
     elif settings.rotation_from == "ATTRIBUTE":
         values = point_attribute(data, settings.rotation_attribute, {"QUATERNION", "FLOAT_VECTOR"}, ob, watch)
         if values is not None:
-            values = np.nan_to_num(values)
-            return (
-                transforms.quaternion_matrices(values)
-                if values.shape[1] == 4
-                else transforms.euler_matrices(values)
-            )
-    return np.eye(3)[None]
+            convert = transforms.quaternion_matrices if values.shape[1] == 4 else transforms.euler_matrices
+            return lambda rows: convert(np.nan_to_num(values[rows]))
+    return lambda rows: np.eye(3)[None]
 
 
 def scales(data, settings, ob, watch) -> np.ndarray:

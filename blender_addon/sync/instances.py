@@ -66,7 +66,7 @@ class InstanceSync:
                 if p.settled:
                     seed = 0
                 else:
-                    seed = int(seeds.instance_seeds(p.name, p.ids or (0,), ob.name)[0])
+                    seed = seeds.instance_seed(p.name, p.ids or (0,), ob.name)
                 rows.add(p.moved(world)._replace(visibility=p.visibility & seen | holdout), seed)
         return rows.group() or Group("Scene")
 
@@ -169,7 +169,7 @@ class InstanceSync:
         if len(parts) > 1:
             rows = Rows(collection.name, self.lamps, self.watch)
             for p in parts:
-                rows.add(p, int(seeds.instance_seeds(p.name, p.ids)[0]))
+                rows.add(p, seeds.instance_seed(p.name, p.ids))
             group = rows.group()
             parts = [] if group is None else [Placed(group, collection.name)]
         self._collections[key] = parts

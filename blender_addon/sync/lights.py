@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pointmr_engine.scene.group import VISIBLE
@@ -25,24 +27,10 @@ def lights(lamp_tree, root, material_sync, watch) -> list[Light]:
             read[key] = lamp(ob, material_sync, watch)
         template = read[key]
         if template is not None:
-            result.append(placed(template, world, seen & VISIBLE))
+            # scale stays in the matrix: it widens spots' cones and area lights, as in Cycles
+            visibility = template.visibility & seen & VISIBLE
+            result.append(replace(template, world_from_light=np.array(world), visibility=visibility))
     return result
-
-
-def placed(template: Light, world: np.ndarray, visibility: int) -> Light:
-    """A lamp at world_from_light (4, 4); scale acts on area lights only, by their sides."""
-    from dataclasses import replace
-
-    world = np.array(world, np.float64)
-    size = np.sqrt((world[:3, :3] ** 2).sum(0))
-    world[:3, :3] /= np.where(size > 0, size, 1)
-    sides = {}
-    if template.kind == "AREA":
-        sides = {"size_x": template.size_x * float(size[0]), "size_y": template.size_y * float(size[1])}
-        square = abs(sides["size_x"] - sides["size_y"]) <= 1e-6 * max(sides["size_x"], sides["size_y"])
-        if not square:
-            sides["shape"] = {"SQUARE": "RECTANGLE", "DISK": "ELLIPSE"}.get(template.shape, template.shape)
-    return replace(template, world_from_light=world, visibility=template.visibility & visibility, **sides)
 
 
 def lamp(ob, material_sync, watch) -> Light | None:

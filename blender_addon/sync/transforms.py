@@ -10,14 +10,6 @@ def matrix(m) -> np.ndarray:
     return np.array([m[0][:], m[1][:], m[2][:], m[3][:]], np.float64)
 
 
-def affine(linear: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """(N, 3, 4) from linear parts (N, 3, 3) or (3, 3) and translations (N, 3)."""
-    out = np.empty((len(translation), 3, 4))
-    out[:, :, :3] = linear
-    out[:, :, 3] = translation
-    return out
-
-
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(N, 3, 4) @ (3 or 4, 4), or (4, 4) @ (N, 3, 4), as (N, 3, 4)."""
     if a.ndim == 3:
@@ -29,16 +21,21 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
+CHUNK = 1 << 14  # rows worked on at a time: what is in between stays in the cache
+
+
 def usable(transforms: np.ndarray) -> np.ndarray:
     """(N,) bool: finite and invertible, relative to the transform's own size."""
+    good = np.empty(len(transforms), bool)
     with np.errstate(all="ignore"):
-        linear = transforms[:, :, :3]
-        size = np.abs(linear).max((1, 2)) if len(linear) else np.zeros(0)
-        ok = np.isfinite(transforms).all((1, 2)) & (size > 0)
-        scaled = linear / np.where(ok, size, 1.0)[:, None, None]
-        a, b, c = scaled[:, :, 0], scaled[:, :, 1], scaled[:, :, 2]
-        det = np.einsum("ij,ij->i", a, np.cross(b, c))
-        return ok & (np.abs(det) > 1e-12)
+        for start in range(0, len(transforms), CHUNK):
+            t = transforms[start : start + CHUNK]
+            m = t[:, :, :3].reshape(-1, 9).T
+            size = np.abs(m).max(0)
+            cofactors = m[4] * m[8] - m[5] * m[7], m[5] * m[6] - m[3] * m[8], m[3] * m[7] - m[4] * m[6]
+            det = m[0] * cofactors[0] + m[1] * cofactors[1] + m[2] * cofactors[2]
+            good[start : start + CHUNK] = (np.abs(det) > 1e-12 * size**3) & np.isfinite(t).all((1, 2))
+    return good
 
 
 def quaternion_matrices(q: np.ndarray) -> np.ndarray:
