@@ -112,17 +112,19 @@ def append(
 ) -> None:
     """Expand a leaf into lobes of the points `rows` ((m,) distinct int64, rows of view and lobes).
 
-    The leaf's block and normals have m rows or 1. Weights and parameters are clamped as Cycles does; weights that
-    are not finite drop the lobe. A point without room for another lobe keeps what it has. A leaf that could be
+    The leaf's block and normals have m rows or 1. Weights and parameters are clamped as Cycles does; values that
+    are not finite count as 0. A point without room for another lobe keeps what it has. A leaf that could be
     anisotropic is not where its tangent is missing or zero.
     """
     if len(rows) == 0:
         return
     rows = np.ascontiguousarray(rows, np.int64)
     block = np.ascontiguousarray(leaf.block, np.float32)
+    if not np.isfinite(block.sum()):
+        block = np.nan_to_num(block, nan=0.0, posinf=0.0, neginf=0.0)
     kind = leaf.kind
     if kind in (leaves.TRANSPARENT, leaves.EMISSION, leaves.BACKGROUND, leaves.HOLDOUT):
-        _append_sums(lobes, kind, rows, np.nan_to_num(block[:, :3], posinf=0.0, neginf=0.0))
+        _append_sums(lobes, kind, rows, block[:, :3])
         return
     normals = _vectors(leaf.normal)
     multiple = leaf.distribution == "multi_ggx"

@@ -26,7 +26,7 @@ def setup(roughness, color, cos_v):
     a = 1.0 / (math.pi + sigma * (0.5 * math.pi - 2.0 / 3.0))
     b = sigma * a
     average = a * math.pi + ((2.0 * math.pi - 5.6) / 3.0) * b
-    missing_v = 1.0 - single_albedo(a, b, max(cos_v, 0.0))
+    missing_v = max(1.0 - single_albedo(a, b, max(cos_v, 0.0)), 0.0)
     common = missing_v * average / (math.pi * (1.0 - average)) if average < 1.0 else 0.0
     r = min(max(color[0], 0.0), 1.0)
     g = min(max(color[1], 0.0), 1.0)
@@ -50,8 +50,8 @@ def evaluate(a, b, multiple, cos_v, cos_l, cos_vl):
     t = cos_vl - cos_l * cos_v
     if t > 0.0:
         t /= max(cos_l, cos_v, 1e-30)
-    single = a + b * t
-    missing = 1.0 - single_albedo(a, b, cos_l)
+    single = max(a + b * t, 0.0)
+    missing = max(1.0 - single_albedo(a, b, cos_l), 0.0)
     return (
         cos_l * (single + multiple[0] * missing),
         cos_l * (single + multiple[1] * missing),

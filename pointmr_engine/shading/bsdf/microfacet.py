@@ -104,7 +104,7 @@ def _scaled_film(film, f0, f0_real):
     if f0_real <= 1e-5 or film >= 1.0:
         return film
     s = min(max((film - 1.0) / (f0_real - 1.0), 0.0), 1.0)
-    return film * (1.0 + s * (f0 / f0_real - 1.0))
+    return min(film * (1.0 + s * (f0 / f0_real - 1.0)), 1.0)
 
 
 @device
