@@ -11,9 +11,9 @@ from numba import njit
 from pointmr_engine.raytracing.emitters import Emitters, emitter_density, find_emitter, sample_emitter
 from pointmr_engine.raytracing.environment import WorldMap, sample_world, world_density
 from pointmr_engine.raytracing.lamps import Lamps, intersect_lamp, lamp_pdf_scale, sample_lamp
-from pointmr_engine.raytracing.light_tree import LAMP as LAMP_NODE
-from pointmr_engine.raytracing.light_tree import SUN, LightTree, choose_light, light_probability
+from pointmr_engine.raytracing.light_tree import TRIANGLE as TRIANGLE_NODE
 from pointmr_engine.raytracing.light_tree import WORLD as WORLD_NODE
+from pointmr_engine.raytracing.light_tree import LightTree, choose_light, light_probability
 from pointmr_engine.scene.group import CAMERA
 
 NONE, LAMP, TRIANGLE, WORLD = 0, 1, 2, 3
@@ -88,75 +88,54 @@ def power_heuristic(pdf: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @_jit
-def sample_light(lights, px, py, pz, nx, ny, nz, transmissive, u_select, u1, u2):
-    """Choose one light for a point: (node, dx, dy, dz, distance, pdf, scale, u, v). pdf 0: none.
-
-    node: leaf of lights.tree, whose kind and item say which light it is. scale multiplies a lamp's radiance. For delta
-    lamps pdf is the probability of the choice. u and v: the place on a triangle.
-    """
-    tree = lights.tree
-    node, probability = choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u_select)
-    if node < 0:
-        return -1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    kind = tree.kind[node]
-    item = tree.item[node]
-    if kind == LAMP_NODE or kind == SUN:
-        dx, dy, dz, t, pdf, scale = sample_lamp(
-            lights.lamps, item, px, py, pz, nx, ny, nz, transmissive, u1, u2
-        )
-        return node, dx, dy, dz, t, pdf * probability, scale, 0.0, 0.0
-    if kind == WORLD_NODE:
-        dx, dy, dz, pdf = sample_world(lights.world, nx, ny, nz, transmissive, u1, u2)
-        return node, dx, dy, dz, math.inf, pdf * probability, 1.0, 0.0, 0.0
-    dx, dy, dz, t, pdf, u, v = sample_emitter(lights.emitters, item, px, py, pz, u1, u2)
-    return node, dx, dy, dz, t, pdf * probability, 1.0, u, v
-
-
-@_jit
-def sample_lights(lights, position, normal, transmissive, u, out):
+def sample_lights(lamps, emitters, world, tree, world_visibility, position, normal, transmissive, u, out):
+    """`Lights.sample`: one light and a direction to it for each point."""
     for i in range(len(position)):
         out.kind[i] = NONE
         out.pending[i] = False
         out.triangle[i] = -1
-        node, dx, dy, dz, t, pdf, scale, bu, bv = sample_light(
-            lights,
-            position[i, 0],
-            position[i, 1],
-            position[i, 2],
-            float(normal[i, 0]),
-            float(normal[i, 1]),
-            float(normal[i, 2]),
-            transmissive[i],
-            u[i, 0],
-            u[i, 1],
-            u[i, 2],
-        )
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
+        node, probability = choose_light(tree, px, py, pz, nx, ny, nz, transmissive[i], u[i, 0])
+        if node < 0:
+            continue
+        light = tree.kind[node]
+        item = tree.item[node]
+        u1, u2 = u[i, 1], u[i, 2]
+        scale = 1.0
+        if light == TRIANGLE_NODE:
+            kind = TRIANGLE
+            dx, dy, dz, t, pdf, bu, bv = sample_emitter(emitters, item, px, py, pz, u1, u2)
+        elif light == WORLD_NODE:
+            kind = WORLD
+            dx, dy, dz, pdf = sample_world(world, nx, ny, nz, transmissive[i], u1, u2)
+            t = math.inf
+        else:
+            kind = LAMP
+            dx, dy, dz, t, pdf, scale = sample_lamp(
+                lamps, item, px, py, pz, nx, ny, nz, transmissive[i], u1, u2
+            )
+        pdf *= probability
         # written so that a NaN fails as well
         if not (pdf > 0.0 and pdf < math.inf and scale > 0.0 and t > 0.0):
             continue
+        out.kind[i] = kind
+        out.index[i] = item
         out.direction[i, 0], out.direction[i, 1], out.direction[i, 2] = dx, dy, dz
         out.distance[i] = t
         out.pdf[i] = pdf
-        kind = lights.tree.kind[node]
-        item = lights.tree.item[node]
-        out.index[i] = item
         out.cast_shadow[i] = True
         out.mis[i] = True
-        if kind == LAMP_NODE or kind == SUN:
-            lamps = lights.lamps
-            out.kind[i] = LAMP
+        if kind == LAMP:
             for k in range(3):
                 out.radiance[i, k] = lamps.radiance[item, k] * scale
             out.mis[i] = lamps.mis[item]
             out.cast_shadow[i] = lamps.cast_shadow[item]
             out.visibility[i] = lamps.visibility[item]
-        elif kind == WORLD_NODE:
-            out.kind[i] = WORLD
+        elif kind == WORLD:
             out.pending[i] = True
-            out.visibility[i] = lights.world_visibility
+            out.visibility[i] = world_visibility
         else:
-            emitters = lights.emitters
-            out.kind[i] = TRIANGLE
             out.pending[i] = emitters.varying[item]
             for k in range(3):
                 out.radiance[i, k] = emitters.radiance[item, k]
@@ -177,67 +156,62 @@ def _weight(pdf, other):
 
 
 @_jit
-def add_seen_lamps(lights, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out):
-    lamps = lights.lamps
+def add_seen_lamps(
+    lamps, tree, met, suns, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out
+):
+    """`Lights.seen_lamps`; met: the lamps that rays can meet, the first `suns` of them suns."""
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
         camera = visibility[i] & CAMERA
-        first = 0 if t_hit[i] == math.inf else lights.met_suns
-        for k in range(first, len(lights.met_lamps)):
-            lamp = lights.met_lamps[k]
+        first = 0 if t_hit[i] == math.inf else suns
+        for k in range(first, len(met)):
+            lamp = met[k]
             if not (lamps.visibility[lamp] & visibility[i]):
                 continue
-            if not lamps.mis[lamp] and (not camera or k < lights.met_suns):
+            if not lamps.mis[lamp] and (not camera or k < suns):
                 continue
             t = intersect_lamp(lamps, lamp, px, py, pz, dx, dy, dz)
             if not (t > 0.0) or (t >= t_hit[i] and t < math.inf):
                 continue
-            nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
             pdf, scale = lamp_pdf_scale(lamps, lamp, px, py, pz, nx, ny, nz, transmissive[i], dx, dy, dz, t)
             if not scale > 0.0:
                 continue
             if bsdf_pdf[i] < math.inf and lamps.mis[lamp]:
-                leaf = lights.tree.leaf_of_lamp[lamp]
-                pdf *= light_probability(lights.tree, leaf, px, py, pz, nx, ny, nz, transmissive[i])
+                leaf = tree.leaf_of_lamp[lamp]
+                pdf *= light_probability(tree, leaf, px, py, pz, nx, ny, nz, transmissive[i])
                 scale *= _weight(bsdf_pdf[i], pdf)
             for c in range(3):
                 out[i, c] += lamps.radiance[lamp, c] * scale
 
 
 @_jit
-def emitter_pdf(lights, path, triangle, position, normal, transmissive, distance, out):
-    emitters = lights.emitters
-    for i in range(len(path)):
-        out[i] = 0.0
-        e = find_emitter(emitters, path[i], triangle[i])
-        if e < 0:
-            continue
-        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
-        pdf = emitter_density(emitters, e, px, py, pz, distance[i])
-        if pdf > 0.0:
-            leaf = lights.tree.leaf_of_emitter[e]
+def selection_pdf(tree, leaf, position, normal, transmissive, out):
+    """Multiply out (N,) by the probability with which the light of each node leaf (N,) is chosen; nothing for -1."""
+    for i in range(len(leaf)):
+        if leaf[i] >= 0 and out[i] > 0.0:
+            px, py, pz = position[i, 0], position[i, 1], position[i, 2]
             nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
-            out[i] = pdf * light_probability(lights.tree, leaf, px, py, pz, nx, ny, nz, transmissive[i])
+            out[i] *= light_probability(tree, leaf[i], px, py, pz, nx, ny, nz, transmissive[i])
 
 
 @_jit
-def world_pdf(lights, position, normal, transmissive, direction, out):
+def emitter_densities(emitters, leaf_of_emitter, path, triangle, position, distance, leaf, out):
+    """Density (N,) per solid angle of each triangle's own sampling, and its node in the tree (-1: not sampled)."""
+    for i in range(len(path)):
+        leaf[i] = -1
+        out[i] = 0.0
+        e = find_emitter(emitters, path[i], triangle[i])
+        if e >= 0:
+            leaf[i] = leaf_of_emitter[e]
+            out[i] = emitter_density(emitters, e, position[i, 0], position[i, 1], position[i, 2], distance[i])
+
+
+@_jit
+def world_densities(world, normal, transmissive, direction, out):
+    """Density (N,) per solid angle of the world's own sampling."""
     for i in range(len(direction)):
         nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
-        pdf = world_density(
-            lights.world, nx, ny, nz, transmissive[i], direction[i, 0], direction[i, 1], direction[i, 2]
-        )
-        if pdf > 0.0:
-            pdf *= light_probability(
-                lights.tree,
-                lights.tree.leaf_of_world,
-                position[i, 0],
-                position[i, 1],
-                position[i, 2],
-                nx,
-                ny,
-                nz,
-                transmissive[i],
-            )
-        out[i] = pdf
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        out[i] = world_density(world, nx, ny, nz, transmissive[i], dx, dy, dz)

@@ -39,7 +39,9 @@ def split(values: np.ndarray):
     span = np.zeros((2 * n, 2), np.int32)
     parent = np.full(2 * n, -1, np.int32)
     child = np.full(2 * n, -1, np.int32)
-    count = _split(values, order, np.empty(n, np.int32), span, parent, child, np.empty((3, _BINS, 11)))
+    count = _split(
+        values, order, np.empty(n, np.int32), span, parent, child, np.empty((4, _BINS, 11)), np.empty(6)
+    )
     return order, span[:count].copy(), parent[:count].copy(), child[:count].copy()
 
 
@@ -54,9 +56,14 @@ def gather(lights: np.ndarray, span: np.ndarray, first_child: np.ndarray) -> np.
 def _clear(bins):
     for k in range(3):
         for b in range(_BINS):
-            bins[k, b, _LOW : _LOW + 3] = math.inf
-            bins[k, b, _HIGH : _HIGH + 3] = -math.inf
-            bins[k, b, _AXIS:] = 0.0
+            for c in range(11):
+                bins[k, b, c] = math.inf if c < _HIGH else (-math.inf if c < _AXIS else 0.0)
+
+
+@_jit
+def _copy(into, other):
+    for k in range(11):
+        into[k] = other[k]
 
 
 @_jit
@@ -80,11 +87,12 @@ def _cost(side):
 
 
 @_jit
-def _best_split(values, order, first, last, bins):
+def _best_split(values, order, first, last, bins, bounds):
     """(axis, bin, lower bound, width) of the cheapest split; axis -1 if all centres coincide."""
     best, best_axis, best_bin, best_low, best_width = math.inf, -1, 0, 0.0, 1.0
-    low = np.full(3, math.inf)
-    high = np.full(3, -math.inf)
+    low, high = bounds[:3], bounds[3:]
+    for k in range(3):
+        low[k], high[k] = math.inf, -math.inf
     for i in range(first, last):
         v = values[order[i]]
         for k in range(3):
@@ -114,21 +122,20 @@ def _best_split(values, order, first, last, bins):
                 b[_AXIS + j] += weight * v[AX + j]
             b[_SUM] += v[ENERGY]
             b[_COUNT] += 1.0
-    side = np.empty(11)
-    right = np.empty(_BINS)
+    side, right = bins[3, 0], bins[3, 1:, 0]
     for k in range(3):
         width = high[k] - low[k]
         if not width > 0.0:
             continue
         stretch = widest / width  # thin boxes are costly to split along their thin side
-        side[:] = bins[k, _BINS - 1]
-        right[_BINS - 1] = _cost(side)
+        _copy(side, bins[k, _BINS - 1])
+        right[_BINS - 2] = _cost(side)
         for b in range(_BINS - 2, 0, -1):
             _merge(side, bins[k, b])
-            right[b] = _cost(side)
-        side[:] = bins[k, 0]
+            right[b - 1] = _cost(side)
+        _copy(side, bins[k, 0])
         for b in range(1, _BINS):
-            cost = stretch * (_cost(side) + right[b])
+            cost = stretch * (_cost(side) + right[b - 1])
             if cost < best:
                 best, best_axis, best_bin, best_low, best_width = cost, k, b, low[k], width
             _merge(side, bins[k, b])
@@ -136,7 +143,7 @@ def _best_split(values, order, first, last, bins):
 
 
 @_jit
-def _split(values, order, spare, span, parent, first_child, bins):
+def _split(values, order, spare, span, parent, first_child, bins, bounds):
     span[0, 0], span[0, 1] = 0, len(order)
     count = 1
     node = 0
@@ -144,7 +151,7 @@ def _split(values, order, spare, span, parent, first_child, bins):
         first, last = span[node, 0], span[node, 1]
         if last - first > BUCKET:
             middle = first
-            axis, border, low, width = _best_split(values, order, first, last, bins)
+            axis, border, low, width = _best_split(values, order, first, last, bins, bounds)
             if axis >= 0:
                 high = 0
                 for i in range(first, last):
@@ -155,7 +162,8 @@ def _split(values, order, spare, span, parent, first_child, bins):
                     else:
                         spare[high] = light
                         high += 1
-                order[middle:last] = spare[:high]
+                for i in range(high):
+                    order[middle + i] = spare[i]
             if middle == first or middle == last:
                 middle = (first + last) // 2
             first_child[node] = count

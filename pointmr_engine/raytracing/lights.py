@@ -88,7 +88,10 @@ class Lights:
 
         `out` may be longer than N. Rows flagged `pending` have no radiance yet: see `emission_at`.
         """
-        kernels.sample_lights(self.arrays, position, normal, transmissive, u, out)
+        a = self.arrays
+        kernels.sample_lights(
+            a.lamps, a.emitters, a.world, a.tree, a.world_visibility, position, normal, transmissive, u, out
+        )
 
     def emission_at(self, samples: LightSamples, index: np.ndarray | None = None) -> None:
         """Fill in `radiance` of the samples (of the rows `index`, or all) whose emission varies; clears `pending`."""
@@ -140,9 +143,21 @@ class Lights:
 
         Lamps do not stop rays. visibility (N,) uint8: the ray's own bit (CAMERA, DIFFUSE, ...).
         """
-        if len(self.arrays.met_lamps):
+        a = self.arrays
+        if len(a.met_lamps):
             kernels.add_seen_lamps(
-                self.arrays, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out
+                a.lamps,
+                a.tree,
+                a.met_lamps,
+                a.met_suns,
+                position,
+                direction,
+                t_hit,
+                visibility,
+                normal,
+                transmissive,
+                bsdf_pdf,
+                out,
             )
 
     def emitter_pdf(self, path, triangle, position, normal, transmissive, direction, distance) -> np.ndarray:
@@ -151,8 +166,13 @@ class Lights:
         path (N,) uint64, triangle (N,) int32 of the hit; distance (N,) float64 from position to the hit.
         """
         out = np.zeros(len(path))
-        if len(self.arrays.emitters.path):
-            kernels.emitter_pdf(self.arrays, path, triangle, position, normal, transmissive, distance, out)
+        a = self.arrays
+        if len(a.emitters.path):
+            leaf = np.empty(len(path), np.int32)
+            kernels.emitter_densities(
+                a.emitters, a.tree.leaf_of_emitter, path, triangle, position, distance, leaf, out
+            )
+            kernels.selection_pdf(a.tree, leaf, position, normal, transmissive, out)
         return out
 
     def emitter_weight(
@@ -169,8 +189,11 @@ class Lights:
     def world_pdf(self, position, normal, transmissive, direction) -> np.ndarray:
         """(N,) float64: density per solid angle with which `sample` chooses the world in that direction."""
         out = np.zeros(len(direction))
-        if self.arrays.tree.leaf_of_world >= 0:
-            kernels.world_pdf(self.arrays, position, normal, transmissive, direction, out)
+        a = self.arrays
+        if a.tree.leaf_of_world >= 0:
+            kernels.world_densities(a.world, normal, transmissive, direction, out)
+            leaf = np.full(len(direction), a.tree.leaf_of_world, np.int32)
+            kernels.selection_pdf(a.tree, leaf, position, normal, transmissive, out)
         return out
 
     def world_weight(self, position, normal, transmissive, direction, bsdf_pdf) -> np.ndarray:
