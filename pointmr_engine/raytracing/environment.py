@@ -9,9 +9,11 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.numerics.warps import cosine_hemisphere, uniform_cone
+from pointmr_engine.scene.graph import Link
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.world import World
 from pointmr_engine.shading import points as surface_points
+from pointmr_engine.shading.nodes.sky import sun_direction
 from pointmr_engine.shading.program import Program, compile_graph, evaluate_background
 
 OFF, UNIFORM, MAP = 0, 1, 2  # how the world is sampled as a light
@@ -90,15 +92,13 @@ def _image_width(world: World) -> int:
 
 def _find_sun(world: World) -> tuple[np.ndarray, float] | None:
     """Direction and half angle of the sun disc of the world's only sky, where nothing turns the sky."""
-    skies = [n for n in world.graph.nodes.values() if n.kind == "sky_texture" and n.params.get("sun_disc")]
-    if len(skies) != 1 or skies[0].inputs.get("vector") is not None:
+    skies = [n for n in world.graph.nodes.values() if n.kind == "sky_texture"]
+    if len(skies) != 1 or isinstance(skies[0].inputs.get("vector"), Link):
         return None
-    p = skies[0].params
-    elevation, rotation = float(p.get("sun_elevation", 0.0)), float(p.get("sun_rotation", 0.0))
-    flat = math.cos(elevation)
-    # Blender's azimuth: 0 along +y, turning towards +x
-    direction = np.array([math.sin(rotation) * flat, math.cos(rotation) * flat, math.sin(elevation)])
-    return direction, 0.5 * float(p.get("sun_size", 0.0))
+    params = skies[0].params
+    if not params.get("sun_disc", True) or params.get("sky_type") in ("PREETHAM", "HOSEK_WILKIE"):
+        return None
+    return sun_direction(params), 0.5 * max(float(params.get("sun_size", 0.009512)), 0.0005)
 
 
 def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | None) -> WorldMap:

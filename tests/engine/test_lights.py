@@ -323,6 +323,44 @@ def test_world_density_integrates_to_one_and_matches_samples():
     assert (np.abs(again / out.pdf - 1.0) < 1e-5).mean() > 0.998  # but for texel borders
 
 
+def test_sun_of_a_sky_is_sampled_by_itself():
+    sky = {"sun_disc": True, "sun_elevation": 0.7, "sun_rotation": 2.0, "sun_size": 0.009512}
+    nodes = {
+        "sky": Node("sky_texture", params=sky),
+        "background": Node("background", {"color": Link("sky", "color"), "strength": 1.0}),
+    }
+    lights = lights_of(world=World(Graph(nodes, surface=Link("background", "background"))))
+    value = by_lights(lights, (0.0, 0.0, 0.0))
+    sun = lights.arrays.world.sun
+    assert sun[4] > 0.0 and value[:, 1].std() < 1.5 * value[:, 1].mean()
+    # just within the disc is far brighter than just outside, all around
+    side = np.array(warps.orthonormal_basis(*sun[:3])).reshape(2, 3)
+    turn = np.arange(8)[:, None] * math.pi / 4
+    rim = np.cos(turn) * side[0] + np.sin(turn) * side[1]
+    angle = 0.5 * sky["sun_size"]
+    inside = lights.world_radiance(sun[:3] + 0.9 * angle * rim, DIFFUSE)
+    outside = lights.world_radiance(sun[:3] + 1.1 * angle * rim, DIFFUSE)
+    assert inside.min() > 100.0 * outside.max()
+    # light of the disc and of the rest, by quadrature
+    z = (np.arange(256) + 0.5) / 128 - 1.0
+    phi = (np.arange(512) + 0.5) / 512 * 2.0 * math.pi
+    r = np.sqrt(1.0 - z * z)
+    d = np.stack(
+        [r[:, None] * np.cos(phi), r[:, None] * np.sin(phi), np.repeat(z[:, None], 512, 1)], -1
+    ).reshape(-1, 3)
+    away = d @ sun[:3] < math.cos(angle)
+    rest = (
+        (lights.world_radiance(d, DIFFUSE) * (np.maximum(d[:, 2:], 0.0) * away[:, None])).mean(0)
+        * 4.0
+        * math.pi
+    )
+    n = 4096
+    disc = np.array([warps.uniform_cone(*sun[:3], sun[3], *u) for u in uniforms(n, 2)])[:, :3]
+    solid_angle = 2.0 * math.pi * sun[3]
+    disc = (lights.world_radiance(disc, DIFFUSE) * disc[:, 2:]).mean(0) * solid_angle
+    assert value.mean(0) == pytest.approx(rest + disc, rel=0.02)
+
+
 def test_world_and_lamps_hide_from_what_may_not_see_them():
     world = uniform_world()
     world.visibility = VISIBLE & ~CAMERA
