@@ -122,8 +122,7 @@ class PointMRRender(bpy.types.RenderEngine):
         image, shown = None, time.monotonic()
         while not job.wait(POLL_SECONDS):
             if self._stopped():
-                job.cancel()
-                job.wait(0.5)  # tiles end well within this; a running compilation is left to end by itself
+                job.cancel()  # it ends at its next tile; nobody needs to wait for that
                 return False
             text = job.text or "rendering"
             if cold and job.fraction <= 0.0:

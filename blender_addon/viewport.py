@@ -7,7 +7,6 @@ ends the running pass and starts again. Only `Viewport` talks to Blender, always
 
 from __future__ import annotations
 
-import copy
 import os
 import threading
 import time
@@ -126,6 +125,7 @@ class Refiner:
         self._generation = 0
         self._versions = 0
         self._closed = False
+        self._cache = None  # the engine's, of the newest scene: a change of view alone builds nothing again
         self._thread = threading.Thread(target=self._run, name="PointMR viewport", daemon=True)
         self._thread.start()
 
@@ -167,9 +167,14 @@ class Refiner:
     def _refine(self, generation, scene, settings, view, pixel_size) -> None:
         self.text = "Compiling kernels, first time only" if kernel_cache.is_cold() else "Loading kernels"
         kernel_cache.prepare()
-        from pointmr_engine.render import render
+        from pointmr_engine.render import Cache, render
+
+        if self._cache is None:
+            self._cache = Cache()
 
         def progress(fraction, text, tile=None) -> bool:
+            if average is None and text not in ("rendering", "done"):
+                self.text = text.capitalize()
             return generation != self._generation
 
         lens, total = scene.camera, settings.samples
@@ -182,7 +187,7 @@ class Refiner:
                 settings, width=width, height=height, samples=count, seed=settings.seed + 1000003 * done
             )
             start = time.perf_counter()
-            frame = render(replace(scene, camera=camera), batch, progress=progress)
+            frame = render(replace(scene, camera=camera), batch, progress=progress, cache=self._cache)
             if generation != self._generation or frame is None:
                 return
             seconds = time.perf_counter() - start
@@ -257,7 +262,7 @@ class Viewport:
         view = view_from_context(context)
         if view != self._view and self._scene is not None:
             self._view = view
-            self._refiner.start(copy.copy(self._scene), self._settings, view, self._pixel_size)
+            self._refiner.start(self._scene, self._settings, view, self._pixel_size)
         picture = self._refiner.picture
         if picture is None:
             return

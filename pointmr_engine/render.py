@@ -32,24 +32,71 @@ class Tile(NamedTuple):
     pixels: np.ndarray
 
 
+class Compiled(NamedTuple):
+    """What is made of a scene's geometry, materials and lights, whatever camera and settings look at it."""
+
+    geometry: object
+    programs: list
+    acceleration: object
+    lights: object
+    warnings: list[str]
+
+
+class Cache:
+    """Keeps what `render` compiled of a scene for further renders of it, by other cameras and settings.
+
+    It is used again as long as the scene's root, lights and world are the same objects (do not change them in place).
+    """
+
+    def __init__(self):
+        self._parts: tuple = ()
+        self._compiled: Compiled | None = None
+
+    def find(self, scene: Scene) -> Compiled | None:
+        """What was kept of this scene, or None."""
+        parts = _parts(scene)
+        same = len(parts) == len(self._parts) and all(a is b for a, b in zip(parts, self._parts, strict=True))
+        return self._compiled if same else None
+
+    def keep(self, scene: Scene, compiled: Compiled) -> None:
+        self._parts, self._compiled = _parts(scene), compiled
+
+
+def _parts(scene: Scene) -> tuple:
+    return (scene.root, scene.world, *scene.lights)
+
+
+# numba's dispatchers must not meet new argument types on two threads at once (builds with assertions abort): the first
+# tile of a process runs alone.
+_warm, _warm_lock = threading.Event(), threading.Lock()
+
 Progress = Callable[[float, str, Tile | None], bool | None]
 
 
-def render(scene: Scene, settings: RenderSettings | None = None, progress: Progress | None = None) -> Frame:
+def render(
+    scene: Scene,
+    settings: RenderSettings | None = None,
+    progress: Progress | None = None,
+    cache: Cache | None = None,
+) -> Frame:
     """Render `scene` with the settings' method.
 
     progress(fraction, text, tile) is called often, from the calling thread; tile is a finished Tile or None. A true
-    return value cancels: Cancelled is raised. Raises SceneError for what cannot be rendered, naming it; what was skipped
-    or replaced is in the frame's warnings. The image does not depend on the number of threads.
+    return value cancels: Cancelled is raised. Raises SceneError for what cannot be rendered, naming it; what was
+    skipped or replaced is in the frame's warnings. The image does not depend on the number of threads.
+    cache: keeps what was compiled, for the next render of the same scene.
     """
     settings = settings or RenderSettings()
     settings.validate()
     clock = _Clock(progress)
-    clock.phase("checking the scene")
-    warnings = scene.validate()
     if settings.method == "conventional":
         settings = replace(settings, samples=1)
-    stage, warnings = _prepare(scene, settings, clock, warnings)
+    compiled = cache.find(scene) if cache is not None and scene.camera is not None else None
+    if compiled is None:
+        compiled = _compile(scene, clock)
+        if cache is not None:
+            cache.keep(scene, compiled)
+    stage = _prepare(scene, compiled, settings, clock)
     clock.phase("rendering")
     frame, counters = _render_tiles(stage, settings, clock)
     clock.phase("done")
@@ -64,7 +111,7 @@ def render(scene: Scene, settings: RenderSettings | None = None, progress: Progr
         counters=dict(counters),
         needs=asdict(stage.needs),
     )
-    frame.warnings[:0] = list(dict.fromkeys(warnings))
+    frame.warnings[:0] = list(dict.fromkeys(compiled.warnings))
     return frame
 
 
@@ -89,23 +136,18 @@ class _Clock:
             raise Cancelled("the render was cancelled")
 
 
-def _prepare(scene: Scene, settings: RenderSettings, clock: _Clock, warnings: list[str]):
-    """Compile everything that the integrator reads: (Stage, warnings)."""
+def _compile(scene: Scene, clock: _Clock) -> Compiled:
+    """Compile what neither camera nor settings change."""
     from pointmr_engine.scene.material import Material
     from pointmr_engine.shading.program import compile_graph
 
+    clock.phase("checking the scene")
+    warnings = scene.validate()
     clock.phase("loading kernels")
     from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
     from pointmr_engine.hierarchy.geometry import compile_geometry
-    from pointmr_engine.needs import decide_needs
-    from pointmr_engine.raytracing.camera import compile_camera
-    from pointmr_engine.raytracing.integrator import Stage
     from pointmr_engine.raytracing.lights import build_lights
-    from pointmr_engine.raytracing.paths import Limits
-    from pointmr_engine.raytracing.shade import Shader
-    from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 
-    camera = compile_camera(scene.camera, settings)
     clock.phase("compiling materials")
     geometry = compile_geometry(scene)
     plain = Material("no material")
@@ -118,8 +160,22 @@ def _prepare(scene: Scene, settings: RenderSettings, clock: _Clock, warnings: li
     acceleration = build_acceleration(geometry, progress=clock.tell)
     acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
     clock.phase("gathering lights")
-    lights = build_lights(scene, geometry, programs, settings)
-    warnings = warnings + geometry.warnings + lights.warnings
+    lights = build_lights(scene, geometry, programs)
+    return Compiled(geometry, programs, acceleration, lights, warnings + geometry.warnings + lights.warnings)
+
+
+def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: _Clock):
+    """All that the integrator reads, as a Stage."""
+    clock.phase("loading kernels")
+    from pointmr_engine.needs import decide_needs
+    from pointmr_engine.raytracing.camera import compile_camera
+    from pointmr_engine.raytracing.integrator import Stage
+    from pointmr_engine.raytracing.paths import Limits
+    from pointmr_engine.raytracing.shade import Shader
+    from pointmr_engine.shading.bsdf.albedo_tables import load_tables
+
+    geometry, programs, acceleration, lights, _ = compiled
+    camera = compile_camera(scene.camera, settings)
     needs = decide_needs(programs, lights, settings, lens=bool(camera.lens[0] > 0.0))
     share = 1.0 / np.sqrt(settings.samples)
     limits = Limits(
@@ -133,7 +189,7 @@ def _prepare(scene: Scene, settings: RenderSettings, clock: _Clock, warnings: li
         float(share),
     )
     index = [0 if m is None else m.pass_index for m in geometry.materials]
-    stage = Stage(
+    return Stage(
         acceleration,
         Shader(geometry, programs, settings, load_tables()),
         lights,
@@ -144,7 +200,6 @@ def _prepare(scene: Scene, settings: RenderSettings, clock: _Clock, warnings: li
         np.array(index, np.int32),
         float(share),
     )
-    return stage, warnings
 
 
 def _tile_size(width: int, height: int) -> int:
@@ -191,10 +246,19 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
         block = film.frame.passes["combined"][low : bounds[3] - y0, left : bounds[2] - x0]
         return Tile(left, low, block.copy())
 
+    def first_alone(bounds):
+        if not _warm.is_set():
+            with _warm_lock:
+                if not _warm.is_set():
+                    tile = work(bounds)
+                    _warm.set()
+                    return tile
+        return work(bounds)
+
     threads = settings.threads or os.cpu_count() or 1
     pool = ThreadPoolExecutor(threads, thread_name_prefix="pointmr")
     try:
-        pending = {pool.submit(work, bounds) for bounds in tiles}
+        pending = {pool.submit(first_alone, bounds) for bounds in tiles}
         while pending:
             finished, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
             for future in finished:

@@ -20,7 +20,7 @@ import numpy as np
 
 SHARED = Path(os.environ["POINTMR_SESSION"])
 values: dict = {}
-LONGEST_WAIT = 120.0
+LONGEST_WAIT = 200.0  # a first render compiles its kernels
 
 
 def run(session) -> None:
@@ -50,6 +50,7 @@ def run(session) -> None:
         except StopIteration:
             finish()
         except BaseException:
+            screenshot("failure")
             finish(traceback.format_exc())
         return None
 

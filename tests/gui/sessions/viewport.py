@@ -11,16 +11,21 @@ import steps
 from mathutils import Quaternion
 
 
-def red(pixels) -> float:
-    """The share of pixels that are clearly red: the cube."""
+def reddish(pixels):
+    """Where pixels are red rather than grey: the cube, its shaded sides too."""
     p = pixels.astype(int)
-    return float(((p[..., 0] > 60) & (p[..., 0] > 2 * p[..., 1]) & (p[..., 0] > 2 * p[..., 2])).mean())
+    return (p[..., 0] > 30) & (p[..., 0] > 2 * p[..., 1]) & (p[..., 0] > 2 * p[..., 2])
+
+
+def red(pixels) -> float:
+    """The share of the pixels that show the cube."""
+    return float(reddish(pixels).mean())
 
 
 def middle_of_red(pixels):
-    p = pixels.astype(int)
-    rows, columns = np.nonzero((p[..., 0] > 60) & (p[..., 0] > 2 * p[..., 1]) & (p[..., 0] > 2 * p[..., 2]))
-    return [float(columns.mean()), float(rows.mean())] if len(rows) else None
+    """The middle of the box around the cube, (x, y) from the upper left."""
+    rows, columns = np.nonzero(reddish(pixels))
+    return [float(v.min() + v.max()) / 2 for v in (columns, rows)] if len(rows) else None
 
 
 def session():
