@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pointmr_engine.hierarchy import bvh_build, leaves
 from pointmr_engine.hierarchy.geometry import BatchTables, Geometry, PartTables
+from pointmr_engine.numerics.pointers import address_of
 from pointmr_engine.numerics.simd import BLOCK_FLOATS, NODE_FLOATS
 
 EMPTY = int(bvh_build.EMPTY)
@@ -32,6 +32,7 @@ class WalkArrays(NamedTuple):
     group_part: np.ndarray  # (groups,) int32: the part that is all there is in the group, or -1
     group_center: np.ndarray  # (groups, 3) float64
     group_radius: np.ndarray  # (groups,) float64
+    part_root: np.ndarray  # (parts,) int32: that of the part's shape
     part_opaque: np.ndarray  # (parts,) int8: 1 all of it blocks light, 0 nothing, -1 look at the slot
     slot_opaque: np.ndarray  # (slots,) bool
     parts: PartTables
@@ -40,13 +41,71 @@ class WalkArrays(NamedTuple):
     levels: int  # nested groups that a walk may need
 
 
-@dataclass(eq=False)
-class Acceleration:
-    """What the walk needs. `arrays` is for kernels; `geometry` owns what they borrow."""
+class WalkPointers(NamedTuple):
+    """Addresses of what the walk's kernels read.
 
-    geometry: Geometry
-    arrays: WalkArrays
-    warnings: list[str]
+    Arrays handed down through kernels cost: references to all of them are counted at every call that is not inlined
+    (it halved the rate, and threads would wait for each other), and each array is seven arguments to compile.
+    """
+
+    root: int  # the root group's index, not an address
+    boxes: int
+    children: int
+    blocks: int
+    block_triangles: int
+    item_record: int
+    item_batch: int
+    group_root: int
+    group_part: int
+    group_center: int
+    group_radius: int
+    part_root: int
+    part_center: int
+    part_radius: int
+    part_first_triangle: int
+    part_material_index: int
+    part_first_slot: int
+    part_slots: int
+    part_opaque: int
+    slot_opaque: int
+    first_record: int
+    has_attributes: int
+    transforms: int
+    group_first: int
+    batch_groups: int
+    group: int
+    visibility: int
+    object_index: int
+    seed: int
+    color: int
+    group_values: int
+    visibility_values: int
+    object_index_values: int
+    seed_values: int
+    color_values: int
+
+
+def _pointers(arrays: WalkArrays) -> WalkPointers:
+    found = {}
+    for name in WalkPointers._fields[1:]:
+        if hasattr(arrays, name):
+            array = getattr(arrays, name)
+        elif name.startswith("part_"):
+            array = getattr(arrays.parts, name.removeprefix("part_"))
+        else:
+            array = getattr(arrays.instances, name)
+        found[name] = address_of(array)
+    return WalkPointers(root=len(arrays.group_root) - 1, **found)
+
+
+class Acceleration:
+    """What the walk needs. It keeps the geometry alive, whose arrays its kernels borrow."""
+
+    def __init__(self, geometry: Geometry, arrays: WalkArrays, warnings: list[str]):
+        self.geometry = geometry
+        self.arrays = arrays
+        self.pointers = _pointers(arrays)
+        self.warnings = warnings
 
 
 class _Pool:
@@ -183,6 +242,7 @@ def build_acceleration(geometry: Geometry, progress: Callable[[float], None] | N
         group_part=groups.only_part,
         group_center=groups.center,
         group_radius=groups.radius,
+        part_root=shape_root[geometry.tables.shape],
         part_opaque=np.ones(len(geometry.parts), np.int8),
         slot_opaque=np.ones(len(geometry.tables.slot_material), np.bool_),
         parts=geometry.tables,
@@ -225,4 +285,4 @@ def set_opaque(acceleration: Acceleration, opaque: np.ndarray) -> Acceleration:
         if used.all() or not used.any():
             part[p] = used[0]
     arrays = acceleration.arrays._replace(slot_opaque=slots, part_opaque=part)
-    return replace(acceleration, arrays=arrays)
+    return Acceleration(acceleration.geometry, arrays, acceleration.warnings)

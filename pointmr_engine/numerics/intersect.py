@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from pointmr_engine.numerics.pointers import load_f32
+
 PAD = (
     1e-6  # of the largest coordinate: bounds every rounding of the box and triangle tests (16 units of 2^-24)
 )
-FLAT = np.float32(1e-18)  # stands for a direction component of zero, so that no infinity times zero can appear
+FLAT = np.float32(
+    1e-18
+)  # stands for a direction component of zero, so that no infinity times zero can appear
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -100,9 +104,9 @@ def edge_met_exactly(blocks, block, lane, axes, origin, shear):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sheared(blocks, block, lane, vertex, axes, origin, shear):
     at = vertex * 24 + lane
-    z = blocks[block, at + 8 * axes[2]] - origin[2]
-    x = (blocks[block, at + 8 * axes[0]] - origin[0]) - shear[0] * z
-    y = (blocks[block, at + 8 * axes[1]] - origin[1]) - shear[1] * z
+    z = load_f32(blocks, block * 72 + at + 8 * axes[2]) - origin[2]
+    x = (load_f32(blocks, block * 72 + at + 8 * axes[0]) - origin[0]) - shear[0] * z
+    y = (load_f32(blocks, block * 72 + at + 8 * axes[1]) - origin[1]) - shear[1] * z
     return np.float64(x), np.float64(y), np.float64(shear[2] * z)
 
 
@@ -135,7 +139,7 @@ def point_distance(blocks, block, lane, u, v, ox, oy, oz, dx, dy, dz):
 def _vertex(blocks, block, lane, vertex):
     at = vertex * 24 + lane
     return (
-        np.float64(blocks[block, at]),
-        np.float64(blocks[block, at + 8]),
-        np.float64(blocks[block, at + 16]),
+        np.float64(load_f32(blocks, block * 72 + at)),
+        np.float64(load_f32(blocks, block * 72 + at + 8)),
+        np.float64(load_f32(blocks, block * 72 + at + 16)),
     )

@@ -38,3 +38,48 @@ def _pointer(value_type):
 pointer_f32 = _pointer(types.float32)  # kernel functions: an address -> a pointer that can be indexed, flat
 pointer_f64 = _pointer(types.float64)
 pointer_i32 = _pointer(types.int32)
+
+
+def _loader(value_type, result_type):
+    @intrinsic
+    def load(typingctx, address, index):
+        if not (isinstance(address, types.Integer) and isinstance(index, types.Integer)):
+            return None
+
+        def codegen(context, builder, signature, args):
+            pointer = builder.inttoptr(args[0], context.get_value_type(types.CPointer(value_type)))
+            value = builder.load(builder.gep(pointer, [args[1]]))
+            return context.cast(builder, value, value_type, result_type)
+
+        return result_type(address, types.int64), codegen
+
+    return load
+
+
+def _storer(value_type):
+    @intrinsic
+    def store(typingctx, address, index, value):
+        if not (isinstance(address, types.Integer) and isinstance(index, types.Integer)):
+            return None
+
+        def codegen(context, builder, signature, args):
+            pointer = builder.inttoptr(args[0], context.get_value_type(types.CPointer(value_type)))
+            builder.store(args[2], builder.gep(pointer, [args[1]]))
+            return context.get_dummy_value()
+
+        return types.void(address, types.int64, value_type), codegen
+
+    return store
+
+
+# kernel functions: load_*(address, index) -> value; integers widen to int64 (unsigned ones to uint64)
+load_u8 = _loader(types.uint8, types.int64)
+load_i8 = _loader(types.int8, types.int64)
+load_i32 = _loader(types.int32, types.int64)
+load_i64 = _loader(types.int64, types.int64)
+load_u64 = _loader(types.uint64, types.uint64)
+load_u32 = _loader(types.uint32, types.uint32)
+load_f32 = _loader(types.float32, types.float32)
+load_f64 = _loader(types.float64, types.float64)
+store_i32 = _storer(types.int32)  # store_*(address, index, value)
+store_f32 = _storer(types.float32)

@@ -25,6 +25,10 @@ def _data(context, builder, array_type, value):
     return cgutils.create_struct_proxy(array_type)(context, builder, value=value).data
 
 
+def _at(builder, address):
+    return builder.inttoptr(address, _f32.as_pointer())
+
+
 def _load(builder, data, offset):
     pointer = builder.bitcast(builder.gep(data, [offset]), _vector.as_pointer())
     load = builder.load(pointer)
@@ -92,7 +96,7 @@ def minimum_into(typingctx, target, row, source, source_row):
 def slab_test(typingctx, boxes, node, near, scale, shift_near, shift_far, t_min, t_max, entry):
     """Boxes of a node's eight children against a ray: bit mask of those hit; distances of entry go to entry[0:8].
 
-    boxes float32 flat, NODE_FLOATS per node; near: three int64, where in a node the planes lie that the ray meets first;
+    boxes: address of float32, NODE_FLOATS per node; entry: address of eight; near: three int64, where in a node the planes lie that the ray meets first;
     scale: three float32, 1 / direction; shift_near, shift_far: three float32, minus padded origin times scale.
     """
     three_i = types.UniTuple(types.int64, 3)
@@ -100,8 +104,8 @@ def slab_test(typingctx, boxes, node, near, scale, shift_near, shift_far, t_min,
     f = types.float32
 
     def codegen(context, builder, signature, args):
-        data = _data(context, builder, signature.args[0], args[0])
-        out = _data(context, builder, signature.args[8], args[8])
+        data = _at(builder, args[0])
+        out = _at(builder, args[8])
         base = builder.mul(args[1], ir.Constant(_i64, NODE_FLOATS))
         enter, leave = _splat(builder, args[6]), _splat(builder, args[7])
         for axis in range(3):
@@ -117,15 +121,17 @@ def slab_test(typingctx, boxes, node, near, scale, shift_near, shift_far, t_min,
         _store(builder, enter, out, ir.Constant(_i64, 0))
         return _bits(builder, builder.fcmp_ordered("<=", enter, leave))
 
-    return types.int64(boxes, types.int64, three_i, three_f, three_f, three_f, f, f, entry), codegen
+    return types.int64(
+        types.int64, types.int64, three_i, three_f, three_f, three_f, f, f, types.int64
+    ), codegen
 
 
 @intrinsic
 def triangle_test(typingctx, blocks, block, axes, origin, shear, t_min, t_max, result):
     """Eight triangles against a ray (Woop, Benthin and Wald 2013): bits 0-7 hit, bits 8-15 hit with an edge exactly met.
 
-    blocks float32 flat, BLOCK_FLOATS per block. axes: three int64, kx, ky, kz; origin in that order, shear (Sx, Sy, Sz).
-    result float32: t in [0:8], weights of vertex 1 and 2 in [8:16] and [16:24]. A triangle that is met exactly at an edge
+    blocks: address of float32, BLOCK_FLOATS per block. axes: three int64, kx, ky, kz; origin in that order, shear (Sx, Sy, Sz).
+    result: address of 24 float32: t in [0:8], weights of vertex 1 and 2 in [8:16] and [16:24]. A triangle that is met exactly at an edge
     counts as hit here; the caller decides it in double precision.
     """
     three_i = types.UniTuple(types.int64, 3)
@@ -133,8 +139,8 @@ def triangle_test(typingctx, blocks, block, axes, origin, shear, t_min, t_max, r
     f = types.float32
 
     def codegen(context, builder, signature, args):
-        data = _data(context, builder, signature.args[0], args[0])
-        out = _data(context, builder, signature.args[7], args[7])
+        data = _at(builder, args[0])
+        out = _at(builder, args[7])
         base = builder.mul(args[1], ir.Constant(_i64, BLOCK_FLOATS))
         width = ir.Constant(_i64, WIDTH)
         at = [builder.add(base, builder.mul(builder.extract_value(args[2], k), width)) for k in range(3)]
@@ -179,4 +185,4 @@ def triangle_test(typingctx, blocks, block, axes, origin, shear, t_min, t_max, r
         exact = _bits(builder, builder.and_(hit, met))
         return builder.or_(_bits(builder, hit), builder.shl(exact, ir.Constant(_i64, 8)))
 
-    return types.int64(blocks, types.int64, three_i, three_f, three_f, f, f, result), codegen
+    return types.int64(types.int64, types.int64, three_i, three_f, three_f, f, f, types.int64), codegen
