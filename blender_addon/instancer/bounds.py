@@ -14,7 +14,7 @@ COLOR = (0.9, 0.55, 0.15, 0.7)
 EDGES = ((0, 1), (1, 3), (3, 2), (2, 0), (4, 5), (5, 7), (7, 6), (6, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
 _handler = None
-_lines: np.ndarray | None = None  # (2 E, 3), None: to be made again
+_lines: dict[int, np.ndarray] = {}  # line ends by view layer, kept until something changes
 
 
 def corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -25,7 +25,11 @@ def corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 def geometry_set(ob):
     try:
         return ob.evaluated_geometry()
-    except (AttributeError, RuntimeError, TypeError):  # an old Blender, or a kind of object that has no geometry
+    except (
+        AttributeError,
+        RuntimeError,
+        TypeError,
+    ):  # an old Blender, or a kind of object that has no geometry
         return None
 
 
@@ -105,8 +109,6 @@ def box_lines(depsgraph, objects) -> np.ndarray:
     edges = np.array(EDGES).ravel()
     for ob in objects:
         ob = ob.evaluated_get(depsgraph)
-        if not ob.pointmr.show_bounds:
-            continue
         placed = bounds.instances(ob)
         if placed is None:
             continue
@@ -118,36 +120,46 @@ def box_lines(depsgraph, objects) -> np.ndarray:
     return np.concatenate(lines).astype(np.float32)
 
 
+def _shown_lines(context) -> np.ndarray:
+    """Line ends of all boxes in the view layer."""
+    layer = context.view_layer
+    key = layer.as_pointer()
+    if key not in _lines:
+        shown = [
+            ob
+            for ob in layer.objects
+            if ob.pointmr.instance_collection is not None
+            and ob.pointmr.show_bounds
+            and ob.visible_get(view_layer=layer)
+        ]
+        _lines[key] = box_lines(context.evaluated_depsgraph_get(), shown)
+    return _lines[key]
+
+
 def _draw() -> None:
-    global _lines
     import gpu
     from gpu_extras.batch import batch_for_shader
 
     context = bpy.context
     if not context.space_data.overlay.show_overlays:
         return
-    if _lines is None:
-        shown = [
-            ob
-            for ob in context.view_layer.objects
-            if ob.pointmr.instance_collection is not None and ob.visible_get(view_layer=context.view_layer)
-        ]
-        _lines = box_lines(context.evaluated_depsgraph_get(), shown)
-    if not len(_lines):
+    lines = _shown_lines(context)
+    if not len(lines):
         return
+    # a batch kept between draws would outlive the GPU when Blender quits
     shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    batch = batch_for_shader(shader, "LINES", {"pos": lines})
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.blend_set("ALPHA")
     shader.uniform_float("color", COLOR)
-    batch_for_shader(shader, "LINES", {"pos": _lines}).draw(shader)
+    batch.draw(shader)
     gpu.state.blend_set("NONE")
     gpu.state.depth_test_set("NONE")
 
 
 @bpy.app.handlers.persistent
 def _changed(*_) -> None:
-    global _lines
-    _lines = None
+    _lines.clear()
 
 
 def register() -> None:

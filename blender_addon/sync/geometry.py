@@ -17,12 +17,14 @@ UNSUPPORTED = {"VOLUME": "volumes", "GREASEPENCIL": "grease pencil", "GPENCIL": 
 class GeometrySync:
     """Reads what objects show in their own space, each once; objects with the same mesh share one Group.
 
-    property_names: object and instancer properties that materials ask for. `lamps` gets the lamps that are met.
+    property_names: object and instancer properties that materials ask for. view_layer says whether surfaces and hair
+    are wanted. `lamps` gets the lamps that are met.
     """
 
-    def __init__(self, meshes, watch, final: bool, property_names: attributes.Requests):
+    def __init__(self, meshes, watch, final: bool, view_layer, property_names: attributes.Requests):
         self.meshes, self.slots, self.watch, self.final = meshes, meshes.slot_materials, watch, final
         self.names = property_names
+        self.use_surfaces, self.use_hair = view_layer.use_solid, view_layer.use_strand
         self.lamps = LampTree()
         self._own: dict[int, Placed | None] = {}
         self._shared: dict[tuple, Group | None] = {}
@@ -48,6 +50,11 @@ class GeometrySync:
                 self.watch.error(f"object '{ob.name}' could not be read and is left out: {error}")
         return self._own[key]
 
+    def strands(self, ob) -> Placed | None:
+        """The object's particle hair alone: it is seen even where its emitter is not."""
+        hair = self._hair(ob) if ob.type == "MESH" else []
+        return self.placed(ob, Group(ob.name, hair)) if hair else None
+
     def _read_own(self, ob) -> Placed | None:
         kind = ob.type
         if kind == "LIGHT":
@@ -57,6 +64,10 @@ class GeometrySync:
         if kind in UNSUPPORTED:
             self.watch.warn(f"object '{ob.name}': {UNSUPPORTED[kind]} are not supported; left out")
             return None
+        if not self.use_surfaces:
+            return self.strands(ob)
+        if ob.is_shadow_catcher:
+            self.watch.warn(f"object '{ob.name}': shadow catchers are not supported; it is rendered as it is")
         group = self._geometry(ob)
         return None if group is None else self.placed(ob, group, () if kind == "MESH" else (0,))
 
@@ -166,6 +177,8 @@ class GeometrySync:
     def _hair(self, ob) -> list:
         """The object's particle hair, as tubes."""
         result = []
+        if not self.use_hair:
+            return result
         for modifier in ob.modifiers:
             if modifier.type != "PARTICLE_SYSTEM" or not (
                 modifier.show_render if self.final else modifier.show_viewport

@@ -34,7 +34,7 @@ class InstanceSync:
     def __init__(self, depsgraph, meshes, watch, property_names=attributes.NOTHING):
         self.depsgraph, self.watch = depsgraph, watch
         self.final = visibility.is_final(depsgraph)
-        self.geometry = GeometrySync(meshes, watch, self.final, property_names)
+        self.geometry = GeometrySync(meshes, watch, self.final, depsgraph.view_layer_eval, property_names)
         self.lamps = self.geometry.lamps
         self._contents: dict[tuple[int, int], Contents] = {}
         self._collections: dict[int, list[Placed]] = {}
@@ -111,9 +111,9 @@ class InstanceSync:
         finally:
             self._path.pop()
         own = None
-        if visibility.shows_itself(ob, is_instancer, self.final) and not (
-            ob.type == "META" and context is not None
-        ):
+        if not visibility.shows_itself(ob, is_instancer, self.final):
+            own = self.geometry.strands(ob)
+        elif ob.type != "META" or context is None:  # metaballs melt into one, they are not instanced
             own = self.geometry.own(ob)
         self._contents[key] = Contents(own, made)
         return self._contents[key]

@@ -69,29 +69,32 @@ def layer_objects(depsgraph) -> list[object]:
     """
     final = is_final(depsgraph)
     scene, layer = depsgraph.scene, depsgraph.view_layer
-    names: dict[int, object] = {}
+    found: dict[int, object] = {}
 
     def gather(layer_collection, hidden: bool) -> None:
         c = layer_collection.collection
         hidden = hidden or is_disabled(c, final) or (not final and layer_collection.hide_viewport)
         if not (hidden or layer_collection.exclude):
             for ob in c.objects:
-                if not is_disabled(ob, final) and (final or not hidden_by_eye(ob, layer)):
-                    names.setdefault(ob.as_pointer(), ob)
+                found.setdefault(ob.as_pointer(), ob)
         for child in layer_collection.children:  # a child of an excluded collection may be included by itself
             gather(child, hidden)
 
     gather(layer.layer_collection, False)
+    own = len(found)
     background, seen = scene.background_set, {scene.as_pointer()}
     while background is not None and background.as_pointer() not in seen:
         seen.add(background.as_pointer())
         for ob, _ in collection_members(background.collection, final):
-            names.setdefault(ob.as_pointer(), ob)
+            found.setdefault(ob.as_pointer(), ob)
         background = background.background_set
     result = []
-    for ob in names.values():
+    for i, ob in enumerate(found.values()):
         evaluated = ob.evaluated_get(depsgraph)
-        if is_evaluated(evaluated):
+        # visibility may be animated, which only the evaluated object knows
+        if not is_evaluated(evaluated) or is_disabled(evaluated, final):
+            continue
+        if final or i >= own or not hidden_by_eye(ob, layer):
             result.append(evaluated)
     return result
 

@@ -16,9 +16,9 @@ SAMPLING = {"AUTOMATIC", "NONE", "MANUAL"}
 
 
 def world(scene, view_layer, material_sync, watch) -> World:
-    """The scene's world (or the view layer's override); black where there is none."""
+    """The scene's world (or the view layer's override); black where there is none, or the layer has none."""
     source = getattr(view_layer, "world_override", None) or scene.world
-    if source is None:
+    if source is None or not view_layer.use_sky:
         return World()
     if source.node_tree is not None and (source.use_nodes if uses_nodes_flag() else True):
         result = World(material_sync.world_graph(source))

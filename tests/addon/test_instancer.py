@@ -359,6 +359,3 @@ def test_bounds(scene):
     assert lines.shape == (24, 3) and lines.dtype == np.float32
     assert np.allclose(lines.min(0)[:2], (0, 0)) and np.allclose(lines.max(0)[:2], (12, 2))
     assert 100.4 < lines[:, 2].min() < lines[:, 2].max() < 101.6
-    ob.pointmr.show_bounds = False
-    bpy.context.view_layer.update()
-    assert not len(bounds.box_lines(bpy.context.evaluated_depsgraph_get(), [ob]))

@@ -94,6 +94,26 @@ def test_hidden_objects_and_collections(scene):
     assert sorted(s.triangles for s in ours) == [3, 4]
 
 
+def test_animated_visibility(scene):
+    ob = b.add("o", b.polygon("p"))
+    ob.hide_render = False
+    ob.keyframe_insert("hide_render", frame=1)
+    ob.hide_render = True
+    ob.keyframe_insert("hide_render", frame=2)
+    for frame, count in ((1, 1), (2, 0), (1, 1)):
+        scene.frame_set(frame)
+        check(count)
+
+
+def test_background_scene(scene):
+    other = bpy.data.scenes.new("set")
+    b.add("in set", b.polygon("p", 6), other.collection, location=(1, 0, 0))
+    b.add("hidden in set", b.polygon("p", 7), other.collection, hide_render=True)
+    b.add("own", b.polygon("p", 5))
+    scene.background_set = other
+    check(2)
+
+
 def test_view_layer_flags_and_ray_visibility(scene):
     held, indirect = b.collection("held", scene.collection), b.collection("indirect", scene.collection)
     b.add("held out", b.polygon("p", 4), held)
@@ -539,6 +559,26 @@ def test_hair_and_points_are_visible(scene):
     assert by_name[f"hairy/{ob.particle_systems[0].name}"] == 12 * 4 * 8
     assert sum(s.name == "cloud" for s in shown) == 7
     assert not [t for level, t in said if level == "ERROR"]
+
+
+def test_hair_of_a_hidden_emitter_and_of_a_layer_without_surfaces(scene):
+    ob = b.add("hairy", b.bumpy("m"))
+    ob.modifiers.new("p", "PARTICLE_SYSTEM")
+    settings = ob.particle_systems[0].settings
+    settings.type, settings.count, settings.render_step = "HAIR", 5, 1
+    ob.show_instancer_for_render = False
+
+    def shown():
+        return sorted(s.triangles for s in placements.by_engine(export()[0].root))
+
+    assert shown() == [5 * 2 * 8]
+    ob.show_instancer_for_render = True
+    assert shown() == [18, 5 * 2 * 8]
+    layer = scene.view_layers[0]
+    layer.use_solid = False
+    assert shown() == [5 * 2 * 8]
+    layer.use_solid, layer.use_strand = True, False
+    assert shown() == [18]
 
 
 def test_million_vertex_instances(scene):
