@@ -131,7 +131,8 @@ def build_wide(prims, leaf_size, first_node, first_leaf, boxes, children, leaves
     """Build over `prims` (N, 8) float32 (reordered in place), at least one.
 
     Writes nodes from `first_node` on: boxes[node, 6 * 8] (lower x, y, z, upper x, y, z of eight children) and
-    children[node, 8] (node, or ~leaf, or EMPTY); leaves from `first_leaf` on: leaves[leaf] = (start, stop) rows of prims.
+    children[node, 8] (node, or ~leaf, or EMPTY); leaves from `first_leaf` on: leaves[leaf] = (start, stop), rows of
+    prims.
     Returns (nodes, leaves, depth); nodes = -1 when boxes or leaves are too few.
     """
     bins = np.empty((3 * BINS, 8), np.float32)

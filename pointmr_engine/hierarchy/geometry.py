@@ -103,12 +103,14 @@ class Geometry:
 
 
 def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
-    """The unique parts of `scene`. Of attribute layers, those that `needs` names (as surface.gather has it) are prepared
-    at once; others when something first asks for them.
+    """The unique parts of `scene`.
+
+    Of attribute layers, those that `needs` names (as surface.gather has it) are prepared at once; others when something
+    first asks for them.
 
     Raises SceneError for a group that contains itself, a malformed mesh or a malformed batch of instances; what can be
-    tolerated is skipped and named in `Geometry.warnings`. Mesh and instance arrays are borrowed where their dtype allows
-    it: do not change them while the Geometry is in use.
+    tolerated is skipped and named in `Geometry.warnings`. Mesh and instance arrays are borrowed where their dtype
+    allows it: do not change them while the Geometry is in use.
     """
     from pointmr_engine.hierarchy import layers  # which needs this module
 

@@ -1,4 +1,4 @@
-"""Attribute layers over all parts of a scene: where each mesh keeps a UV layer, an attribute, tangents; interpolation."""
+"""Attribute layers over all parts of a scene (UV layers, attributes, tangents): where they are, and interpolation."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def layer(geometry: Geometry, kind: str, name: str) -> Layer:
 def interpolate(tables, layer, part, triangle, u, v, out):
     """Values of a layer at surface points (u, v float64) into out (n, channels) float32.
 
-    Missing layers give zeros. Where out has four channels and the layer fewer: one is repeated as a grey, the third is 0
-    if missing and the fourth 1, as Cycles converts attributes to colours.
+    Missing layers give zeros. Where out has four channels and the layer fewer: one is repeated as a grey, the third
+    is 0 if missing and the fourth 1, as Cycles converts attributes to colours.
     """
     wanted = out.shape[1]
     for i in range(len(part)):

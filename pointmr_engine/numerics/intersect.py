@@ -1,4 +1,4 @@
-"""Robust ray tests: rays brought into a hierarchy's single precision space, and triangles decided in double precision."""
+"""Robust ray tests: rays in a hierarchy's single precision space, triangles decided in double precision."""
 
 from __future__ import annotations
 

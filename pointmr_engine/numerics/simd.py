@@ -94,10 +94,11 @@ def minimum_into(typingctx, target, row, source, source_row):
 
 @intrinsic
 def slab_test(typingctx, boxes, node, near, scale, shift_near, shift_far, t_min, t_max, entry):
-    """Boxes of a node's eight children against a ray: bit mask of those hit; distances of entry go to entry[0:8].
+    """Boxes of a node's eight children against a ray: bit mask of those hit.
 
-    boxes: address of float32, NODE_FLOATS per node; entry: address of eight; near: three int64, where in a node the planes lie that the ray meets first;
-    scale: three float32, 1 / direction; shift_near, shift_far: three float32, minus padded origin times scale.
+    boxes: address of float32, NODE_FLOATS per node; near: three int64, where in a node the planes lie that the ray
+    meets first; scale: three float32, 1 / direction; shift_near, shift_far: three float32, minus the padded origin
+    times scale. entry: address of eight float32, which become the distances at which the boxes are met.
     """
     three_i = types.UniTuple(types.int64, 3)
     three_f = types.UniTuple(types.float32, 3)
@@ -128,11 +129,11 @@ def slab_test(typingctx, boxes, node, near, scale, shift_near, shift_far, t_min,
 
 @intrinsic
 def triangle_test(typingctx, blocks, block, axes, origin, shear, t_min, t_max, result):
-    """Eight triangles against a ray (Woop, Benthin and Wald 2013): bits 0-7 hit, bits 8-15 hit with an edge exactly met.
+    """Eight triangles against a ray (Woop, Benthin and Wald 2013): bits 0-7 hit, bits 8-15 met exactly at an edge.
 
-    blocks: address of float32, BLOCK_FLOATS per block. axes: three int64, kx, ky, kz; origin in that order, shear (Sx, Sy, Sz).
-    result: address of 24 float32: t in [0:8], weights of vertex 1 and 2 in [8:16] and [16:24]. A triangle that is met exactly at an edge
-    counts as hit here; the caller decides it in double precision.
+    blocks: address of float32, BLOCK_FLOATS per block. axes: three int64, kx, ky, kz; origin in that order, shear
+    (Sx, Sy, Sz). result: address of 24 float32: t in [0:8], weights of vertex 1 and 2 in [8:16] and [16:24]. A triangle
+    that is met exactly at an edge counts as hit here; the caller decides it in double precision.
     """
     three_i = types.UniTuple(types.int64, 3)
     three_f = types.UniTuple(types.float32, 3)

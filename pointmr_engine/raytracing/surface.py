@@ -291,7 +291,7 @@ def gather(
     index (n,) integer, of hits (triangle >= 0); row k of the result belongs to hits[index[k]]. needs: field names of
     SurfacePoints ("position", "normal", "generated", "ray_length", ...), and "uv:NAME", "uv_footprint:NAME",
     "tangent:NAME" ("" is the mesh's active layer), "attribute:NAME", "instance_attribute:NAME". `ray_state` may be left
-    out when nothing of it is needed. `SurfacePoints.material_index` becomes the pass index of geometry.materials[material].
+    out when nothing of it is needed. `SurfacePoints.material_index` becomes geometry.materials[material].pass_index.
     Raises KeyError for a need that is not known.
     """
     samples = _samples(hits, index)

@@ -32,7 +32,7 @@ MISS = -1
 def push_children(mask, node, children, entry, stack, stack_t, sp):
     """Of the children in `mask` (not 0), the nearest is returned and the others pushed, nearest on top.
 
-    entry[child] is the distance at which its box is met; all arrays by address. Returns (child, new height of the stack).
+    entry[child] is the distance at which its box is met; all arrays by address. Returns (child, the stack's height).
     """
     i = trailing_zeros(mask)
     mask &= mask - 1
@@ -79,7 +79,7 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
     """Closest hit of a ray in the part's own space, nearer than t_max: (triangle or -1, t, u, v).
 
     `skip` is a triangle that is not hit. With any_hit, (BLOCKED, ...) as soon as an opaque triangle is met before
-    t_max[0]; else the closest of the others before t_max[1]. Without, t_max[0] = t_max[1]. The stack is free from sp on.
+    t_max[0]; else the closest of the others before t_max[1]. Without, t_max[0] = t_max[1]. The stack is free from sp.
     """
     node = load_i32(w.part_root, part)
     ox -= load_f64(w.part_center, 3 * part)
