@@ -248,7 +248,7 @@ def _sum(lobes, i, wi, wo, sampled):
     transmission_sum = _BLACK
     pdf_sum = 0.0
     weight_sum = mean(row3(lobes.transparency, i))
-    for j in range(lobes.count[i]):
+    for j in range(np.int64(lobes.count[i])):
         kind = lobes.kind[i, j]
         base = kind & KIND_MASK
         sample_weight = np.float64(lobes.data[i, j, SAMPLE])
@@ -309,7 +309,7 @@ def sample(lobes, i, wi, u_choose, u1, u2):
     transparency = row3(lobes.transparency, i)
     clear = mean(transparency)
     total = clear
-    for j in range(lobes.count[i]):
+    for j in range(np.int64(lobes.count[i])):
         total += np.float64(lobes.data[i, j, SAMPLE])
     if not total > 0.0:
         return straight, _BLACK, 0.0, LABEL_NONE, 1.0, 1.0
@@ -319,7 +319,7 @@ def sample(lobes, i, wi, u_choose, u1, u2):
     left -= clear
     chosen = -1
     sample_weight = 0.0
-    for j in range(lobes.count[i]):
+    for j in range(np.int64(lobes.count[i])):
         w = np.float64(lobes.data[i, j, SAMPLE])
         if w > 0.0:
             if chosen >= 0:

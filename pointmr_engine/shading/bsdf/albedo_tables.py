@@ -11,6 +11,8 @@ import numpy as np
 from pointmr_engine.shading.bsdf.jit import device
 
 PATH = Path(__file__).with_name("tables.npz")
+ONLY = np.int64(0)  # the variant of tables that have one
+SHEEN_A, SHEEN_B, SHEEN_ALBEDO = np.arange(3)
 
 
 class Tables(NamedTuple):

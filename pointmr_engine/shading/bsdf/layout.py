@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 # What a lobe is (low byte of Lobes.kind). Order matters: everything up to TRANSLUCENT counts as diffuse.
-LAMBERT, OREN_NAYAR, SHEEN, TRANSLUCENT, REFLECTION, REFRACTION, GLASS, ASHIKHMIN_SHIRLEY = range(1, 9)
+LAMBERT, OREN_NAYAR, SHEEN, TRANSLUCENT, REFLECTION, REFRACTION, GLASS, ASHIKHMIN_SHIRLEY = np.arange(1, 9)
 KIND_MASK = 0xFF
 # modifiers, above the low byte
 BECKMANN = 0x100  # microfacet distribution; GGX without it
@@ -20,19 +20,20 @@ FRESNEL_SCHLICK = 0x20000  # dielectric curve remapped to f0..1, tinted
 FRESNEL_F82 = 0x40000  # metallic, Schlick with a tint at 82 degrees
 FRESNEL_MASK = 0x70000
 
-# Columns of Lobes.data
-WEIGHT = 0  # rgb, energy compensation included
-SAMPLE = 3  # weight for choosing a lobe
-NORMAL = 4  # xyz
-TANGENT = 7  # xyz: orthonormal tangent where anisotropic; for sheen too
-ALPHA_X = 10  # Oren-Nayar: a; sheen: LTC a
-ALPHA_Y = 11  # Oren-Nayar: b; sheen: LTC b
-IOR = 12  # relative: behind / in front
-FILM_THICKNESS = 13  # nanometres
-FILM_IOR = 14
-F0 = 15  # rgb; Oren-Nayar: multiple-scattering term
-TINT = 18  # rgb: tint of the reflection; for FRESNEL_F82 the edge term
-TRANSMISSION_TINT = 21  # rgb
+# Columns of Lobes.data. (numpy integers here and above: numba would compile a function anew for every value of a
+# Python one that is passed to it.)
+WEIGHT = np.int64(0)  # rgb, energy compensation included
+SAMPLE = np.int64(3)  # weight for choosing a lobe
+NORMAL = np.int64(4)  # xyz
+TANGENT = np.int64(7)  # xyz: orthonormal tangent where anisotropic; for sheen too
+ALPHA_X = np.int64(10)  # Oren-Nayar: a; sheen: LTC a
+ALPHA_Y = np.int64(11)  # Oren-Nayar: b; sheen: LTC b
+IOR = np.int64(12)  # relative: behind / in front
+FILM_THICKNESS = np.int64(13)  # nanometres
+FILM_IOR = np.int64(14)
+F0 = np.int64(15)  # rgb; Oren-Nayar: multiple-scattering term
+TINT = np.int64(18)  # rgb: tint of the reflection; for FRESNEL_F82 the edge term
+TRANSMISSION_TINT = np.int64(21)  # rgb
 COLUMN_COUNT = 24
 
 # Lobes.flags, per point

@@ -59,7 +59,8 @@ from pointmr_engine.shading.bsdf.vector import (
 )
 from pointmr_engine.shading.leaves import COLUMNS, PRINCIPLED
 
-_C = {name: k for k, name in enumerate(COLUMNS[PRINCIPLED])}
+_C = {name: np.int64(k) for k, name in enumerate(COLUMNS[PRINCIPLED])}
+_WEIGHT = _C["weight_r"]
 _BASE = _C["base_color_r"]
 _METALLIC = _C["metallic"]
 _ROUGHNESS = _C["roughness"]
@@ -176,7 +177,7 @@ def append(
         free = not view.diffuse_ray[i]
         reflects = reflective or free
         refracts = refractive or free
-        weight = _positive3(block, r, 0)
+        weight = _positive3(block, r, _WEIGHT)
         base = _positive3(block, r, _BASE)
         color = _at_most_one(base)
         ior = max(np.float64(block[r, _IOR]), 1e-5)

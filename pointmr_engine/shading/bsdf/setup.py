@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.shading.bsdf.albedo_tables import lookup2, lookup3
+from pointmr_engine.shading.bsdf.albedo_tables import ONLY, lookup2, lookup3
 from pointmr_engine.shading.bsdf.fresnel import dielectric_average, f0_of_ior, f82_average, remap
 from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
@@ -57,9 +57,9 @@ def push(lobes, i, kind, weight, normal):
     """Add a lobe -> its index, or -1 where its weight is negligible, not finite, or there is no room."""
     weight = (max(weight[0], 0.0), max(weight[1], 0.0), max(weight[2], 0.0))
     sample_weight = mean(weight)
-    j = lobes.count[i]
+    j = np.int64(lobes.count[i])
     if not (sample_weight >= WEIGHT_CUTOFF and sample_weight < math.inf) or j >= lobes.kind.shape[1]:
-        return -1
+        return np.int64(-1)
     ns = row3(lobes.normal, i)
     if normal[0] != ns[0] or normal[1] != ns[1] or normal[2] != ns[2]:
         kind |= BUMPED
@@ -119,16 +119,16 @@ def albedo(kind, data, i, j, tables, cos_ni):
     ior = np.float64(data[i, j, IOR])
     z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
     if kind & FRESNEL_SCHLICK:
-        s = lookup3(tables.schlick_dielectric, 0, z, cos_ni, _roughness(data, i, j))
+        s = lookup3(tables.schlick_dielectric, ONLY, z, cos_ni, _roughness(data, i, j))
         f0 = load3(data, i, j, F0)
         mixed = (f0[0] + (1.0 - f0[0]) * s, f0[1] + (1.0 - f0[1]) * s, f0[2] + (1.0 - f0[2]) * s)
         reflected = multiply(mixed, load3(data, i, j, TINT))
     elif kind & FRESNEL_F82:
-        s = lookup2(tables.schlick, 0, cos_ni, _roughness(data, i, j))
+        s = lookup2(tables.schlick, ONLY, cos_ni, _roughness(data, i, j))
         f0 = load3(data, i, j, F0)
         reflected = (f0[0] + (1.0 - f0[0]) * s, f0[1] + (1.0 - f0[1]) * s, f0[2] + (1.0 - f0[2]) * s)
     elif kind & FRESNEL_DIELECTRIC and ior > 1.0:
-        s = lookup3(tables.schlick_dielectric, 0, z, cos_ni, _roughness(data, i, j))
+        s = lookup3(tables.schlick_dielectric, ONLY, z, cos_ni, _roughness(data, i, j))
         f0_real = f0_of_ior(ior)
         f = f0_real + (1.0 - f0_real) * s
         reflected = (f, f, f)
@@ -182,16 +182,16 @@ def finish_microfacet(kind, data, i, j, tables, wi, compensate, fss):
         roughness = _roughness(data, i, j)
         if kind & KIND_MASK == GLASS:
             ior = np.float64(data[i, j, IOR])
-            side = 0
+            side = ONLY
             if ior < 1.0:
                 ior = 1.0 / ior
-                side = 1
+                side = ONLY + 1
             z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
             e = lookup3(tables.glass, side, z, cos_ni, roughness)
             e_average = lookup2(tables.glass_average, side, z, roughness)
         else:
-            e = lookup2(tables.ggx, 0, cos_ni, roughness)
-            e_average = lookup2(tables.ggx_average, 0, 0.0, roughness)
+            e = lookup2(tables.ggx, ONLY, cos_ni, roughness)
+            e_average = lookup2(tables.ggx_average, ONLY, 0.0, roughness)
         missing = (1.0 - e) / e
         if fss[0] < 0.0:
             fss = _average_fresnel(kind, data, i, j)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.shading.bsdf.albedo_tables import lookup2
+from pointmr_engine.shading.bsdf.albedo_tables import SHEEN_A, SHEEN_ALBEDO, SHEEN_B, lookup2
 from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import ALPHA_X, ALPHA_Y, SAMPLE, SHEEN, TANGENT, WEIGHT
 from pointmr_engine.shading.bsdf.setup import drop, finish_diffuse, push
@@ -19,9 +19,9 @@ def push_sheen(lobes, i, tables, wi, normal, weight, roughness):
         return 0.0, 0.0, 0.0
     roughness = min(max(roughness, 1e-3), 1.0)
     cos_ni = dot(normal, wi)
-    a = lookup2(tables.sheen, 0, roughness, cos_ni)
-    b = lookup2(tables.sheen, 1, roughness, cos_ni)
-    albedo = lookup2(tables.sheen, 2, roughness, cos_ni)
+    a = lookup2(tables.sheen, SHEEN_A, roughness, cos_ni)
+    b = lookup2(tables.sheen, SHEEN_B, roughness, cos_ni)
+    albedo = lookup2(tables.sheen, SHEEN_ALBEDO, roughness, cos_ni)
     if abs(a) < 1e-5 or albedo < 1e-5:
         drop(lobes, i)
         return 0.0, 0.0, 0.0

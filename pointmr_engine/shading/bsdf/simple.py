@@ -51,17 +51,18 @@ from pointmr_engine.shading.leaves import GLASS as GLASS_LEAF
 from pointmr_engine.shading.leaves import GLOSSY as GLOSSY_LEAF
 from pointmr_engine.shading.leaves import METALLIC as METALLIC_LEAF
 
-_DIFFUSE_COLOR = COLUMNS[DIFFUSE_LEAF].index("color_r")
-_GLOSSY_COLOR = COLUMNS[GLOSSY_LEAF].index("color_r")
-_GLASS_COLOR = COLUMNS[GLASS_LEAF].index("color_r")
-_GLASS_FILM = COLUMNS[GLASS_LEAF].index("thin_film_thickness")
-_METALLIC_BASE = COLUMNS[METALLIC_LEAF].index("base_color_r")
-_METALLIC_EDGE = COLUMNS[METALLIC_LEAF].index("edge_tint_r")
-_METALLIC_ROUGHNESS = COLUMNS[METALLIC_LEAF].index("roughness")
-_METALLIC_FILM = COLUMNS[METALLIC_LEAF].index("thin_film_thickness")
-_ROUGHNESS = 3  # of all others, right behind the weight
-_SECOND = 4  # ior or anisotropy
-_ROTATION = 5
+_DIFFUSE_COLOR = np.int64(COLUMNS[DIFFUSE_LEAF].index("color_r"))
+_GLOSSY_COLOR = np.int64(COLUMNS[GLOSSY_LEAF].index("color_r"))
+_GLASS_COLOR = np.int64(COLUMNS[GLASS_LEAF].index("color_r"))
+_GLASS_FILM = np.int64(COLUMNS[GLASS_LEAF].index("thin_film_thickness"))
+_METALLIC_BASE = np.int64(COLUMNS[METALLIC_LEAF].index("base_color_r"))
+_METALLIC_EDGE = np.int64(COLUMNS[METALLIC_LEAF].index("edge_tint_r"))
+_METALLIC_ROUGHNESS = np.int64(COLUMNS[METALLIC_LEAF].index("roughness"))
+_METALLIC_FILM = np.int64(COLUMNS[METALLIC_LEAF].index("thin_film_thickness"))
+_WEIGHT = np.int64(0)
+_ROUGHNESS = np.int64(3)  # of all others, right behind the weight
+_SECOND = np.int64(4)  # ior or anisotropy
+_ROTATION = np.int64(5)
 _ASK = (-1.0, -1.0, -1.0)
 
 
@@ -84,7 +85,7 @@ def _color(block, r, column):
     """The leaf's own colour; its weight where the colour was not given."""
     color = _rgb(block, r, column)
     if color[0] == 0.0 and color[1] == 0.0 and color[2] == 0.0:
-        return _rgb(block, r, 0)
+        return _rgb(block, r, _WEIGHT)
     return color
 
 
@@ -111,7 +112,7 @@ def append_diffuse(lobes, rows, view, block, normals, translucent):
             roughness = np.float64(block[r, _ROUGHNESS])
             if roughness >= 1e-5:
                 kind = OREN_NAYAR
-        j = push(lobes, i, kind, _rgb(block, r, 0), normal)
+        j = push(lobes, i, kind, _rgb(block, r, _WEIGHT), normal)
         if j < 0:
             continue
         if kind == OREN_NAYAR:
@@ -127,7 +128,7 @@ def append_sheen(lobes, rows, view, tables, block, normals):
     """Sheen leaves (microfibre model)."""
     for k in range(rows.shape[0]):
         i, r, wi, normal = _place(view, normals, block, rows, k)
-        push_sheen(lobes, i, tables, wi, normal, _rgb(block, r, 0), _unit(block[r, _ROUGHNESS]))
+        push_sheen(lobes, i, tables, wi, normal, _rgb(block, r, _WEIGHT), _unit(block[r, _ROUGHNESS]))
 
 
 @device
@@ -148,7 +149,7 @@ def append_glossy(lobes, rows, view, tables, block, normals, tangents, reflectiv
         if not (reflective or not view.diffuse_ray[i]):
             continue
         lifted = valid_normal(lobes, i, wi, normal)
-        j = push(lobes, i, base, _rgb(block, r, 0), lifted)
+        j = push(lobes, i, base, _rgb(block, r, _WEIGHT), lifted)
         if j < 0:
             continue
         roughness = _unit(block[r, _ROUGHNESS])
@@ -185,7 +186,7 @@ def append_metallic(lobes, rows, view, tables, block, normals, tangents, reflect
         if not (reflective or not view.diffuse_ray[i]):
             continue
         lifted = valid_normal(lobes, i, wi, normal)
-        j = push(lobes, i, REFLECTION | FRESNEL_F82 | modifiers, _rgb(block, r, 0), lifted)
+        j = push(lobes, i, REFLECTION | FRESNEL_F82 | modifiers, _rgb(block, r, _WEIGHT), lifted)
         if j < 0:
             continue
         roughness = _unit(block[r, _METALLIC_ROUGHNESS])
@@ -226,7 +227,7 @@ def append_glass(lobes, rows, view, tables, block, normals, reflective, refracti
         refracts = refractive or not view.diffuse_ray[i]
         color = _color(block, r, _GLASS_COLOR)
         # the colour is the facets' tint, so that the compensation sees it; the rest stays in the weight
-        weight = _rgb(block, r, 0)
+        weight = _rgb(block, r, _WEIGHT)
         share = 0.0
         for c in range(3):
             if color[c] > 0.0:
@@ -264,7 +265,9 @@ def append_refraction(lobes, rows, view, block, normals, refractive, modifiers):
         i, r, wi, normal = _place(view, normals, block, rows, k)
         if not (refractive or not view.diffuse_ray[i]):
             continue
-        j = push(lobes, i, REFRACTION | modifiers, _rgb(block, r, 0), valid_normal(lobes, i, wi, normal))
+        j = push(
+            lobes, i, REFRACTION | modifiers, _rgb(block, r, _WEIGHT), valid_normal(lobes, i, wi, normal)
+        )
         if j < 0:
             continue
         ior = max(np.float64(block[r, _SECOND]), 1e-5)
