@@ -212,4 +212,5 @@ def _lobe_bound(leaf: int, inputs: dict[str, Source]) -> int:
     if not _is(inputs["metallic"], 1.0):
         lobes += not _is_zero(inputs["transmission_weight"])
         lobes += 0 if _is(inputs["transmission_weight"], 1.0) else 2
+        lobes += not (_is_zero(inputs["subsurface_weight"]) or _is_zero(inputs["diffuse_roughness"]))
     return lobes

@@ -129,7 +129,11 @@ def _distribution(beckmann, x2, y2, z2, alpha2):
 
 @device
 def evaluate(kind, data, i, j, film_table, wi, wo):
-    """Lobe j between two directions, without its weight: (BSDF * |cos| rgb, pdf, transmitted)."""
+    """Lobe j between two directions, without its weight: (BSDF * |cos| rgb, pdf, transmitted).
+
+    As in Cycles, rough refraction is not limited to half vectors that refract one direction into the other, so that
+    it is brighter than its samples where it scatters widely (by 3 % at roughness 0.6 and perpendicular view).
+    """
     base = kind & KIND_MASK
     normal = load3(data, i, j, NORMAL)
     cos_ni = dot(normal, wi)
