@@ -12,9 +12,9 @@ class Needs:
     """Decided once per render, after the node graphs are compiled; `render(...)` puts it into the frame's statistics.
 
     max_lobes: of any material. light_samples: something is worth sampling as a light. stray_light: a ray that a BSDF
-    chose and that may not scatter again can still meet light. transparent_shadows: some surface lets shadow rays through.
-    window: some graph reads window coordinates. lens: rays are spread over the camera's lens. surface_passes: passes
-    that are made where a camera ray meets a surface.
+    chose and that may not scatter again can still meet light. transparent_shadows: some surface lets shadow rays
+    through. window: some graph reads window coordinates. lens: rays are spread over the camera's lens.
+    surface_passes: passes that are made where a camera ray meets a surface.
     """
 
     max_lobes: int

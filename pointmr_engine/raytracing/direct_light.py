@@ -1,4 +1,4 @@
-"""Direct light: one light sample per point, weighed against the BSDF, and its shadow ray through what is transparent."""
+"""Direct light: one light sample per point, weighed against the BSDF, and a shadow ray through transparent surfaces."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def choose_points(
     u,
 ):  # noqa: E501
     """The points of paths 0..n that light samples are worth it for, with their random numbers; returns how many."""
-    m = 0
+    m = np.int64(0)
     for k in range(n):
         if not alive[k] or not lobes.flags[k] & HAS_EVALUATION or paths.flags[k] & FINAL:
             continue
@@ -76,7 +76,7 @@ def connect(
     paths: Paths, hits: Hits, frames, lobes, limits: Limits, lights: LightSamples, rows, m, out: ShadowRays
 ):
     """Shadow rays for light samples 0..m of paths `rows`, those that could add anything; returns how many."""
-    n = 0
+    n = np.int64(0)
     for i in range(m):
         if lights.kind[i] == NONE or not lights.pdf[i] > 0.0:
             continue
@@ -125,7 +125,7 @@ def connect(
 @_jit
 def settle(shadows: ShadowRays, hits: Hits, samples: Samples, limit, n, waiting):
     """Add the light of shadow rays 0..n that nothing stops; rows that a transparent surface meets go to `waiting`."""
-    m = 0
+    m = np.int64(0)
     for i in range(n):
         if hits.triangle[i] == walk.BLOCKED:
             continue
@@ -143,7 +143,7 @@ def settle(shadows: ShadowRays, hits: Hits, samples: Samples, limit, n, waiting)
 @_jit
 def dim(shadows: ShadowRays, hits: Hits, frames, waiting, m, share):
     """Shadow rays waiting[0..m] pass their surface, which lets share (m, 3) through; packed to rows 0.. that go on."""
-    n = 0
+    n = np.int64(0)
     for j in range(m):
         i = waiting[j]
         r = shadows.light[i, 0] * share[j, 0]

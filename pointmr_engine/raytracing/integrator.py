@@ -19,7 +19,7 @@ from pointmr_engine.raytracing import direct_light, paths, walk
 from pointmr_engine.raytracing.camera import CameraArrays, sample_rays, window_coordinates
 from pointmr_engine.raytracing.light_sampling import LightSamples, allocate_light_samples
 from pointmr_engine.raytracing.lights import Lights
-from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits, Samples
+from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits
 from pointmr_engine.raytracing.shade import Shader, allocate_view, fill_view
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, allocate_ray_state, frames
@@ -62,6 +62,7 @@ class Workspace:
         self.view = allocate_view(n)
         self.lobes = lobe_kernels.allocate(n, stage.needs.max_lobes, stage.shader.tables)
         self.order = np.zeros(n, np.int64)
+        self.scattered = paths.allocate_scattered(n)
         self.counters: Counter = Counter()
         if stage.needs.light_samples:
             self.lit_rows = np.zeros(n, np.int32)
@@ -127,8 +128,18 @@ class Workspace:
         paths.roulette(now, self.samples, stage.tables, bounce, alive, n)
         if stage.needs.light_samples:
             self._direct_light(now, n, alive, bounce)
-        return paths.advance(
-            now, self.samples, hits, surface, self.lobes, stage.limits, stage.tables, bounce, alive, then, n
+        paths.scatter(now, self.samples, self.lobes, stage.tables, bounce, alive, n, self.scattered)
+        return paths.move(
+            now,
+            hits,
+            surface,
+            self.scattered,
+            self.lobes.normal,
+            self.lobes.flags,
+            stage.limits,
+            alive,
+            then,
+            n,
         )
 
     def _met_lights(self, now, rays: Rays, n: int, alive, bounce: int) -> None:

@@ -23,7 +23,6 @@ from pointmr_engine.shading.bsdf.layout import (
     NORMAL,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.vector import row3
 from pointmr_engine.shading.lobes import sample as sample_lobes
 from pointmr_engine.shading.points import (
     RAY_CAMERA,
@@ -71,6 +70,15 @@ class Samples(NamedTuple):
     transparency: np.ndarray  # (N,) float64, share that saw a transparent film or a holdout
 
 
+class Scattered(NamedTuple):
+    """Where N paths go from a surface."""
+
+    direction: np.ndarray  # (N, 3) float64
+    pdf: np.ndarray  # (N,) float64, inf for mirrors
+    label: np.ndarray  # (N,) uint8, LABEL_* of shading.bsdf.layout
+    alpha: np.ndarray  # (N,) float32, roughness of the lobe
+
+
 class Limits(NamedTuple):
     """Bounces and other bounds of a render, for kernels."""
 
@@ -111,10 +119,15 @@ def allocate_samples(n: int) -> Samples:
     )
 
 
+def allocate_scattered(n: int) -> Scattered:
+    """Room for n directions."""
+    return Scattered(np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8), np.zeros(n, np.float32))
+
+
 @_jit
 def lay_out(samples: Samples, x0, y0, x1, y1, first, count):
     """Samples first..first+count of every pixel of a tile, pixel by pixel; returns how many."""
-    n = 0
+    n = np.int64(0)
     for y in range(y0, y1):
         for x in range(x0, x1):
             for s in range(first, first + count):
@@ -234,9 +247,9 @@ def finish_final(paths: Paths, lobes, alive, n):
 
 @_jit
 def roulette(paths: Paths, samples: Samples, tables, bounce, alive, n):
-    """Russian roulette by the throughput, once a path has scattered or passed a surface."""
+    """Russian roulette by the throughput, once a path has scattered twice or passed a surface."""
     for k in range(n):
-        if not alive[k] or paths.state.depth[k] + paths.state.transparent_depth[k] == 0:
+        if not alive[k] or (paths.state.depth[k] <= 1 and not paths.flags[k] & THROUGH):
             continue
         t = paths.throughput[k]
         chance = math.sqrt(max(t[0], t[1], t[2]))
@@ -252,90 +265,11 @@ def roulette(paths: Paths, samples: Samples, tables, bounce, alive, n):
 
 
 @_jit
-def _copy(paths: Paths, k, out: Paths, m):
-    """Row k of paths to row m of out, but for the ray's origin and direction."""
-    a, b = paths.state, out.state
-    b.kind[m] = a.kind[k]
-    b.depth[m] = a.depth[k]
-    b.diffuse_depth[m] = a.diffuse_depth[k]
-    b.glossy_depth[m] = a.glossy_depth[k]
-    b.transmission_depth[m] = a.transmission_depth[k]
-    b.transparent_depth[m] = a.transparent_depth[k]
-    b.length[m] = a.length[k]
-    b.width[m] = a.width[k]
-    b.spread[m] = a.spread[k]
-    out.bsdf_pdf[m] = paths.bsdf_pdf[k]
-    out.origin_normal[m] = paths.origin_normal[k]
-    out.origin_transmissive[m] = paths.origin_transmissive[k]
-    out.flags[m] = paths.flags[k]
-    out.slot[m] = paths.slot[k]
-    out.rays.visibility[m] = paths.rays.visibility[k]
+def scatter(paths: Paths, samples: Samples, lobes, tables, bounce, alive, n, out: Scattered):
+    """Sample the lobes of the paths 0..n that are alive; those that absorb their path are no longer alive.
 
-
-@_jit
-def _go_straight(paths: Paths, k, hits, frames, limits, out: Paths, m):
-    """Path k goes on behind the surface that it passes: the same ray, begun later."""
-    rays = paths.rays
-    for a in range(3):
-        out.rays.origin[m, a] = rays.origin[k, a]
-        out.rays.direction[m, a] = rays.direction[k, a]
-    out.rays.t_min[m] = hits.t[k] + frames.offset[k]
-    out.rays.t_max[m] = rays.t_max[k]
-    out.state.transparent_depth[m] += 1
-    out.flags[m] |= THROUGH
-    if out.state.transparent_depth[m] >= limits.transparent:
-        out.flags[m] |= LAST
-
-
-@_jit
-def _turn(paths: Paths, k, hits, frames, lobes, limits, wo, label, alpha, out: Paths, m):
-    """Path k leaves the surface in direction wo."""
-    state = out.state
-    for a in range(3):
-        out.rays.origin[m, a] = frames.position[k, a]
-        out.rays.direction[m, a] = wo[a]
-    out.rays.t_min[m] = frames.offset[k]
-    out.rays.t_max[m] = math.inf
-    state.width[m] = paths.state.width[k] + paths.state.spread[k] * np.float32(hits.t[k])
-    state.spread[m] = paths.state.spread[k] + np.float32(alpha * limits.lobe_spread)
-    state.length[m] = 0
-    state.depth[m] += 1
-    flags = np.int64(out.flags[m]) & ~BACKDROP
-    final = state.depth[m] >= limits.bounces
-    kind = 0
-    if label & LABEL_REFLECT:
-        kind = RAY_REFLECTION
-        if label & LABEL_DIFFUSE:
-            state.diffuse_depth[m] += 1
-            final = final or state.diffuse_depth[m] > limits.diffuse
-            out.rays.visibility[m] = DIFFUSE
-        else:
-            state.glossy_depth[m] += 1
-            final = final or state.glossy_depth[m] > limits.glossy
-            out.rays.visibility[m] = GLOSSY
-    else:
-        kind = RAY_TRANSMISSION
-        state.transmission_depth[m] += 1
-        final = final or state.transmission_depth[m] > limits.transmission
-        out.rays.visibility[m] = TRANSMISSION
-    if label & LABEL_DIFFUSE:
-        kind |= RAY_DIFFUSE
-    else:
-        kind |= RAY_GLOSSY
-    if label & LABEL_SINGULAR:
-        kind |= RAY_SINGULAR
-    state.kind[m] = kind
-    out.flags[m] = flags | (FINAL if final else 0)
-    out.origin_normal[m] = lobes.normal[k]
-    out.origin_transmissive[m] = (lobes.flags[k] & HAS_TRANSMISSION) != 0
-
-
-@_jit
-def advance(
-    paths: Paths, samples: Samples, hits, frames, lobes, limits, tables, bounce, alive, out: Paths, n
-):
-    """Sample the lobes of the paths 0..n that are alive; those that go on are written to `out`. Returns how many."""
-    m = 0
+    The throughput becomes that of the ray that goes on.
+    """
     for k in range(n):
         if not alive[k]:
             continue
@@ -344,21 +278,102 @@ def advance(
         u0, u1, u2, _ = sample_4d(tables, samples.seed[slot], 2 * bounce + 2, samples.number[slot])
         wo, value, pdf, label, alpha, _ = sample_lobes(lobes, k, (-d[0], -d[1], -d[2]), u0, u1, u2)
         if label == LABEL_NONE or not pdf > 0.0:
+            alive[k] = False
             continue
-        t = row3(paths.throughput, k)
+        t = paths.throughput[k]
         r, g, b = t[0] * value[0] / pdf, t[1] * value[1] / pdf, t[2] * value[2] / pdf
         if not (max(r, g, b) > 0.0 and math.isfinite(r + g + b)):
+            alive[k] = False
             continue
-        _copy(paths, k, out, m)
-        out.throughput[m, 0] = r
-        out.throughput[m, 1] = g
-        out.throughput[m, 2] = b
+        t[0], t[1], t[2] = r, g, b
+        out.label[k] = label
+        out.alpha[k] = alpha
+        out.pdf[k] = math.inf if label & LABEL_SINGULAR else pdf
+        for a in range(3):
+            out.direction[k, a] = wo[a]
+
+
+@_jit
+def move(
+    paths: Paths, hits, frames, scattered: Scattered, normal, flags, limits: Limits, alive, out: Paths, n
+):
+    """Write the paths 0..n that are alive to `out`, on their way from the surface; returns how many.
+
+    normal (n, 3) and flags (n,) are those of the surface's lobes. What passes a surface straight is the same ray,
+    begun later.
+    """
+    m = np.int64(0)
+    a, b = paths.state, out.state
+    for k in range(n):
+        if not alive[k]:
+            continue
+        label = np.int64(scattered.label[k])
+        kind = np.int64(a.kind[k])
+        path_flags = np.int64(paths.flags[k])
+        depth, passed = a.depth[k], a.transparent_depth[k]
+        diffuse, glossy, transmission = a.diffuse_depth[k], a.glossy_depth[k], a.transmission_depth[k]
+        visibility = paths.rays.visibility[k]
+        if label & LABEL_TRANSPARENT:
+            passed += 1
+            path_flags |= THROUGH
+            if passed >= limits.transparent:
+                path_flags |= LAST
+            for c in range(3):
+                out.rays.origin[m, c] = paths.rays.origin[k, c]
+                out.rays.direction[m, c] = paths.rays.direction[k, c]
+                out.origin_normal[m, c] = paths.origin_normal[k, c]
+            out.rays.t_min[m] = hits.t[k] + frames.offset[k]
+            out.rays.t_max[m] = paths.rays.t_max[k]
+            out.bsdf_pdf[m] = paths.bsdf_pdf[k]
+            out.origin_transmissive[m] = paths.origin_transmissive[k]
+            b.width[m] = a.width[k]
+            b.spread[m] = a.spread[k]
+        else:
+            depth += 1
+            path_flags &= ~BACKDROP
+            kind = RAY_REFLECTION if label & LABEL_REFLECT else RAY_TRANSMISSION
+            kind |= RAY_DIFFUSE if label & LABEL_DIFFUSE else RAY_GLOSSY
+            if label & LABEL_SINGULAR:
+                kind |= RAY_SINGULAR
+            if not label & LABEL_REFLECT:
+                transmission += 1
+                visibility = TRANSMISSION
+            elif label & LABEL_DIFFUSE:
+                diffuse += 1
+                visibility = DIFFUSE
+            else:
+                glossy += 1
+                visibility = GLOSSY
+            if (
+                depth > limits.bounces
+                or diffuse > limits.diffuse
+                or glossy > limits.glossy
+                or transmission > limits.transmission
+            ):
+                path_flags |= FINAL
+            for c in range(3):
+                out.rays.origin[m, c] = frames.position[k, c]
+                out.rays.direction[m, c] = scattered.direction[k, c]
+                out.origin_normal[m, c] = normal[k, c]
+            out.rays.t_min[m] = frames.offset[k]
+            out.rays.t_max[m] = math.inf
+            out.bsdf_pdf[m] = scattered.pdf[k]
+            out.origin_transmissive[m] = (flags[k] & HAS_TRANSMISSION) != 0
+            b.width[m] = a.width[k] + a.spread[k] * hits.t[k]
+            b.spread[m] = a.spread[k] + scattered.alpha[k] * limits.lobe_spread
+        for c in range(3):
+            out.throughput[m, c] = paths.throughput[k, c]
+        out.rays.visibility[m] = visibility
         out.rays.skip_triangle[m] = hits.triangle[k]
         out.rays.skip_path[m] = hits.path[k]
-        if label & LABEL_TRANSPARENT:
-            _go_straight(paths, k, hits, frames, limits, out, m)
-        else:
-            out.bsdf_pdf[m] = math.inf if label & LABEL_SINGULAR else pdf
-            _turn(paths, k, hits, frames, lobes, limits, wo, label, alpha, out, m)
+        out.flags[m] = path_flags
+        out.slot[m] = paths.slot[k]
+        b.kind[m] = kind
+        b.depth[m] = depth
+        b.diffuse_depth[m] = diffuse
+        b.glossy_depth[m] = glossy
+        b.transmission_depth[m] = transmission
+        b.transparent_depth[m] = passed
+        b.length[m] = 0
         m += 1
     return m

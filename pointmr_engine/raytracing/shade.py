@@ -43,7 +43,7 @@ def fill_view(rays: Rays, kind, frames: Frames, out: View, n):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def rows_by_material(material, wanted, n, materials, order):
-    """Sort the wanted rows of 0..n by material into `order`; returns where each material's rows start (materials + 1,)."""
+    """Sort the wanted rows of 0..n by material into `order`; returns where each one's rows start (materials + 1,)."""
     start = np.zeros(materials + 1, np.int64)
     for k in range(n):
         if wanted[k]:
