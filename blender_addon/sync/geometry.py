@@ -57,6 +57,9 @@ class GeometrySync:
 
     def _read_own(self, ob) -> Placed | None:
         kind = ob.type
+        if is_missing(ob) or is_missing(ob.data):
+            self.watch.warn(f"object '{ob.name}': its library file is missing; left out")
+            return None
         if kind == "LIGHT":
             return self.placed(ob, self.lamps.lamp(ob))
         if kind in SILENT:
@@ -214,6 +217,11 @@ class GeometrySync:
     def keep(self, gs) -> None:
         """Keep a nested geometry set alive: its meshes die with it."""
         self._kept.append(gs)
+
+
+def is_missing(block) -> bool:
+    """Whether a data-block only stands for one whose library file was not found."""
+    return block is not None and getattr(block.original, "is_missing", False)
 
 
 def has_nodes(ob) -> bool:

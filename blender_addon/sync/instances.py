@@ -9,7 +9,7 @@ import numpy as np
 from pointmr_engine.scene.group import HOLDOUT, Group
 
 from . import attributes, children, expanded, instancer_points, seeds, visibility
-from .geometry import GeometrySync, instances_particles, makes_geometry, pointmr_collection
+from .geometry import GeometrySync, instances_particles, is_missing, makes_geometry, pointmr_collection
 from .placements import IDENTITY, Placed, Rows
 from .transforms import matrix
 
@@ -161,6 +161,8 @@ class InstanceSync:
             return self._collections[key]
         if self._enters_itself(key, f"collection '{collection.name}'"):
             return []
+        if is_missing(collection):
+            self.watch.warn(f"collection '{collection.name}': its library file is missing; left out")
         self._path.append((key, collection.name))
         try:
             parts = self._collection_parts(collection)

@@ -581,6 +581,29 @@ def test_hair_of_a_hidden_emitter_and_of_a_layer_without_surfaces(scene):
     assert shown() == [18]
 
 
+def test_missing_libraries_are_named(scene, tmp_path):
+    library = tmp_path / "library.blend"
+    c = b.collection("linked collection")
+    b.add("in c", b.polygon("p"), c)
+    linked = b.add("linked object", b.polygon("linked mesh"))
+    bpy.data.libraries.write(str(library), {c, linked})
+    scene = b.empty_scene()
+    with bpy.data.libraries.load(str(library), link=True) as (_, into):
+        into.collections, into.objects = ["linked collection"], ["linked object"]
+    b.instance_of("e", into.collections[0])
+    b.add("o", into.objects[0].data)
+    scene.collection.objects.link(into.objects[0])
+    b.add("good", b.polygon("p", 5))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    library.unlink()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    result, said, _ = export()
+    assert [s.triangles for s in placements.by_engine(result.root)] == [3]
+    text = "\n".join(t for _, t in said)
+    assert "'linked collection': its library file is missing" in text
+    assert "'linked object': its library file is missing" in text
+
+
 def test_million_vertex_instances(scene):
     """A million native instances come in arrays: no Python per instance."""
     import time
