@@ -40,7 +40,7 @@ class MaterialSync:
 
     def light_graph(self, light) -> Graph | None:
         """The node graph of a bpy Light, or None where it has no nodes that change its emission."""
-        if not getattr(light, "use_nodes", True) or light.node_tree is None:
+        if not light.use_nodes or light.node_tree is None:
             return None
         graph = self._graph(light, f"light '{light.name_full}'", "from_light")
         return None if graph is None or is_plain_light(graph) else graph
@@ -49,7 +49,7 @@ class MaterialSync:
         """The background graph of a bpy World; empty (black) for None."""
         if world is None:
             return Graph()
-        if getattr(world, "use_nodes", True) and world.node_tree is not None:
+        if _has_nodes(world):
             graph = self._graph(world, f"world '{world.name_full}'", "from_world")
             if graph is not None:
                 return graph
@@ -61,7 +61,7 @@ class MaterialSync:
     def _translate(self, material) -> Material:
         name = material.name_full
         graph = None
-        if getattr(material, "use_nodes", True) and material.node_tree is not None:
+        if _has_nodes(material):
             graph = self._graph(material, f"material '{name}'", "from_material")
         if graph is None:
             graph = plain_surface(tuple(material.diffuse_color)[:3])
@@ -90,6 +90,11 @@ class MaterialSync:
         except Exception as error:  # a material must never stop a render, whatever it is made of
             report("ERROR", f"its nodes cannot be translated: {type(error).__name__}: {error}")
             return None
+
+
+def _has_nodes(owner) -> bool:
+    """Whether a material or world is made of nodes; since Blender 5 all are, and asking is deprecated."""
+    return owner.node_tree is not None and (bpy.app.version >= (5, 0, 0) or owner.use_nodes)
 
 
 def plain_surface(color: tuple[float, ...]) -> Graph:

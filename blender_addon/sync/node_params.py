@@ -87,8 +87,6 @@ def _sky(node, context) -> dict:
         "ground_albedo",
     )
     params = {name: getattr(node, name) for name in names if hasattr(node, name)}
-    if node.sky_type == "HOSEK_WILKIE":
-        context.warn(node, "shows Preetham's sky in place of Hosek and Wilkie's")
     # 4.x called aerosols dust
     params["aerosol_density"] = getattr(node, "aerosol_density", getattr(node, "dust_density", 1.0))
     params["sun_direction"] = tuple(getattr(node, "sun_direction", (0.0, 0.0, 1.0)))

@@ -3,12 +3,15 @@
 single_scattering: Nishita et al., "Display of the Earth taking into account atmospheric scattering" (1993), 21
 wavelengths, with an ozone layer. multiple_scattering: Garcia Linan, "Spectral sky" (fgarlin.com, 2024), 4 wavelengths,
 higher orders by a fit. preetham: Preetham et al., "A practical analytic model for daylight" (1999).
+hosek: Hosek and Wilkie, "An analytic model for full spectral sky-dome radiance" (2012).
 Colours are XYZ in W/(m^2 sr), z is up, and the sun stands over +x or -x as each model says.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -29,7 +32,7 @@ class Atmosphere:
 
 
 def _sphere_exit(height: np.ndarray, cosine: np.ndarray, radius: float) -> np.ndarray:
-    """Distance from `height` (from the sphere's centre, inside it) to the sphere, along a ray at `cosine` to the zenith."""
+    """Distance to a sphere from a point inside it, `height` from its centre, along a ray at `cosine` to the zenith."""
     b = height * cosine
     return -b + np.sqrt(np.maximum(b * b - height * height + radius * radius, 0))
 
@@ -392,3 +395,51 @@ def preetham(sun_theta: float, turbidity: float, theta: np.ndarray, gamma: np.nd
         found[name] = zenith[name] * _perez(c, theta, gamma) / _perez(c, np.float64(0), np.float64(s))
     big = found["Y"] / np.where(found["y"] != 0, found["y"], 1)
     return np.stack([found["x"] * big, found["Y"], (1 - found["x"] - found["y"]) * big], -1)
+
+
+# ---- Hosek and Wilkie
+
+
+def hosek_factors(p: np.ndarray, theta: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The formula's factor (n,) that depends on theta alone, and the five terms (n, 5) that it multiplies.
+
+    p: A, B of the first; E, H of the terms' exponential and Mie lobes.
+    """
+    cosine, g, h = np.cos(theta), np.cos(gamma), p[3]
+    horizon = 1 + p[0] * np.exp(p[1] / (cosine + 0.01))
+    mie = (1 + g * g) / (1 + h * h - 2 * h * g) ** 1.5
+    terms = (np.ones_like(g), np.exp(p[2] * gamma), g * g, mie, np.sqrt(np.maximum(cosine, 0)))
+    return horizon, np.stack(terms, -1)
+
+
+@lru_cache(maxsize=1)
+def _hosek_table() -> dict[str, np.ndarray]:
+    with np.load(Path(__file__).with_name("hosek_sky.npz")) as data:
+        return {name: data[name].astype(np.float64) for name in data.files}
+
+
+def _bracket(nodes: np.ndarray, value: float) -> list[tuple[int, float]]:
+    """Indices around a value, with weights."""
+    at = float(np.interp(value, nodes, np.arange(len(nodes))))
+    i = min(int(at), len(nodes) - 2)
+    return [(k, w) for k, w in ((i, 1 - (at - i)), (i + 1, at - i)) if w > 0]
+
+
+def hosek(
+    elevation: float, turbidity: float, albedo: float, theta: np.ndarray, gamma: np.ndarray
+) -> np.ndarray:
+    """(n, 3) XYZ of Hosek and Wilkie's sky at angles theta from the zenith and gamma from the sun.
+
+    Their formula, with coefficients measured on a grid (benchmarks/measure_hosek_sky.py); skies between are blended.
+    """
+    data = _hosek_table()
+    theta = np.minimum(theta, np.pi / 2 - 0.001)
+    total = np.zeros((len(theta), 3))
+    for i, u in _bracket(data["turbidities"], turbidity):
+        for j, v in _bracket(data["albedos"], albedo):
+            for k, w in _bracket(data["elevations"] ** (1 / 3), max(elevation, 0.0) ** (1 / 3)):
+                for c in range(3):
+                    p = data["coefficients"][i, j, k, c]
+                    horizon, terms = hosek_factors(p[:4], theta, gamma)
+                    total[:, c] += u * v * w * horizon * (terms @ p[4:])
+    return np.maximum(total, 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import weakref
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,28 +19,44 @@ class Texture:
     """The mip pyramid of an image, finest level first, the texels of all levels in one flat array.
 
     Texels keep the image's encoding (sRGB stays sRGB), alpha premultiplied, so that the finest level interpolates as
-    Cycles does; coarser levels are averages in linear light, encoded again.
+    Cycles does; coarser levels are averages in linear light, encoded again. They are made when they are first needed.
     """
 
     def __init__(self, image: Image) -> None:
         self.srgb = image.colorspace == "sRGB"
         self.associated = image.alpha in ("STRAIGHT", "PREMULTIPLIED") and image.colorspace != "Non-Color"
         self.scale = 1 / 255 if image.pixels.dtype == np.uint8 else 1.0
-        base = image.pixels
-        if image.alpha == "NONE":
+        base = np.ascontiguousarray(image.pixels)
+        if image.alpha == "NONE" and _translucent(base):
             base = base.copy()
             base[..., 3] = 255 if base.dtype == np.uint8 else 1
         elif image.alpha == "STRAIGHT" and self.associated and _translucent(base):
             base = _premultiply(base)
-        levels = [base]
+        self._lock = threading.Lock()
+        self._finest = (base.reshape(-1), np.array([(0, base.shape[1], base.shape[0])], np.int64))
+        self._pyramid: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def pyramid(self) -> tuple[np.ndarray, np.ndarray]:
+        """Texels, flat, and (levels, 3) int64: offset, width and height of each level."""
+        with self._lock:
+            if self._pyramid is None:
+                self._pyramid = self._build()
+                texels, levels = self._pyramid
+                self._finest = (texels[: 4 * levels[0, 1] * levels[0, 2]], levels[:1].copy())
+        return self._pyramid
+
+    def _build(self) -> tuple[np.ndarray, np.ndarray]:
+        flat, ((_, width, height),) = self._finest
+        levels = [flat.reshape(height, width, 4)]
         linear = None
         while max(levels[-1].shape[:2]) > 1:
-            linear = _halve(_decode(levels[0], self.srgb, self.scale) if linear is None else linear)
-            levels.append(_encode(linear, self.srgb, base.dtype))
+            linear = _halve_decoded(levels[0], self.srgb, self.scale) if linear is None else _halve(linear)
+            levels.append(_encode(linear, self.srgb, flat.dtype))
         sizes = [(level.shape[1], level.shape[0]) for level in levels]
         offsets = np.cumsum([0] + [4 * w * h for w, h in sizes[:-1]])
-        self.levels = np.array([(o, w, h) for o, (w, h) in zip(offsets, sizes, strict=True)], np.int64)
-        self.texels = np.concatenate([np.ascontiguousarray(level).ravel() for level in levels])
+        table = np.array([(o, w, h) for o, (w, h) in zip(offsets, sizes, strict=True)], np.int64)
+        return np.concatenate([np.ascontiguousarray(level).ravel() for level in levels]), table
 
     def look_up(
         self,
@@ -63,9 +80,10 @@ class Texture:
         out = np.empty((len(uv), 4), np.float32)
         uv = np.ascontiguousarray(uv, np.float32)
         footprint = np.ascontiguousarray(footprint, np.float32)
-        kernel.lookup(
-            self.texels, self.levels, uv, footprint, EXTENSIONS.index(extension), flags, self.scale, out
-        )
+        _, ((_, width, height),) = self._finest
+        magnified = not (footprint * np.sqrt(float(width) * float(height)) > 1).any()
+        texels, levels = self._finest if magnified else self.pyramid
+        kernel.lookup(texels, levels, uv, footprint, EXTENSIONS.index(extension), flags, self.scale, out)
         return out
 
 
@@ -93,26 +111,57 @@ def _premultiply(pixels: np.ndarray) -> np.ndarray:
 
 
 def _decode(texels: np.ndarray, srgb: bool, scale: float) -> np.ndarray:
-    linear = texels.astype(np.float32)
-    if scale != 1:
-        linear *= np.float32(scale)
-    if srgb:
-        c = linear[..., :3]
-        np.copyto(
-            c, np.where(c < 0.04045, np.maximum(c, 0) / 12.92, ((np.maximum(c, 0) + 0.055) / 1.055) ** 2.4)
-        )
+    """float32 linear values; bytes by table."""
+    if not srgb:
+        return texels.astype(np.float32) * np.float32(scale)
+    if texels.dtype == np.uint8:
+        codes = np.arange(256, dtype=np.float32) * np.float32(scale)
+        linear = np.empty(texels.shape, np.float32)
+        np.take(_srgb_to_linear(codes), texels, out=linear, mode="clip")
+        linear[..., 3] = texels[..., 3] * np.float32(scale)
+        return linear
+    linear = texels.copy()
+    linear[..., :3] = _srgb_to_linear(texels[..., :3])
     return linear
 
 
+def _srgb_to_linear(c: np.ndarray) -> np.ndarray:
+    c = np.maximum(c, 0)
+    return np.where(c < 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def _linear_to_srgb(c: np.ndarray) -> np.ndarray:
+    return np.where(c < 0.0031308, c * 12.92, 1.055 * np.maximum(c, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+@lru_cache(maxsize=1)
+def _byte_codes() -> np.ndarray:
+    """sRGB bytes of linear values in steps of 1 / 65535."""
+    return (_linear_to_srgb(np.arange(65536) / 65535) * 255 + 0.5).astype(np.uint8)
+
+
 def _encode(linear: np.ndarray, srgb: bool, dtype: np.dtype) -> np.ndarray:
-    out = linear
-    if srgb:
-        out = linear.copy()
-        c = linear[..., :3]
-        out[..., :3] = np.where(c < 0.0031308, c * 12.92, 1.055 * np.maximum(c, 1e-9) ** (1 / 2.4) - 0.055)
     if dtype == np.uint8:
-        return (np.clip(out, 0, 1) * 255 + 0.5).astype(np.uint8)
-    return out.astype(np.float32, copy=False)
+        if not srgb:
+            return (np.clip(linear, 0, 1) * 255 + 0.5).astype(np.uint8)
+        steps = (np.clip(linear, 0, 1) * 65535 + 0.5).astype(np.uint16)
+        out = _byte_codes()[steps]
+        out[..., 3] = (linear[..., 3] * 255 + 0.5).astype(np.uint8)
+        return out
+    out = linear.astype(np.float32, copy=srgb)
+    if srgb:
+        out[..., :3] = _linear_to_srgb(linear[..., :3])
+    return out
+
+
+def _halve_decoded(level: np.ndarray, srgb: bool, scale: float) -> np.ndarray:
+    """The second level, linear, of the finest one; by bands of rows, so that large images need little room."""
+    height = level.shape[0]
+    if height % 2:
+        return _halve(_decode(level, srgb, scale))
+    rows = 256
+    bands = [_halve(_decode(level[y : y + rows], srgb, scale)) for y in range(0, height, rows)]
+    return np.concatenate(bands)
 
 
 def _halve(level: np.ndarray) -> np.ndarray:

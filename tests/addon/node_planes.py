@@ -97,7 +97,6 @@ def build(cases: dict[str, Case]) -> dict[str, bpy.types.Object]:
     for i, (name, case) in enumerate(cases.items()):
         obj = _plane(name, i % columns + 0.5, i // columns + 0.5)
         material = bpy.data.materials.new(name)
-        material.use_nodes = True
         material.pass_index = 2
         tree = Tree(material.node_tree)
         material.node_tree.nodes.clear()

@@ -12,6 +12,7 @@ from pointmr_engine.shading.sky_models import (
     WIDTH,
     Atmosphere,
     horizon_dip,
+    hosek,
     multiple_scattering,
     multiple_scattering_sun,
     preetham,
@@ -73,25 +74,26 @@ def _prepare(params: dict) -> dict:
 
 @node("sky_texture", {"vector": (VECTOR, From("generated"))}, {"color": COLOR}, prepare=_prepare)
 def _sky(c: Call) -> np.ndarray:
-    """params: sky_type and the other properties of Blender's node; Hosek and Wilkie's sky is shown as Preetham's."""
+    """params: sky_type and the other properties of Blender's node."""
     d = c["vector"].astype(np.float64)
     size = length(d)[:, None]
     d = d / np.where(size > 0, size, 1)
     if "table" not in c.params:
-        xyz = _preetham(c.params, d)
+        xyz = _analytic(c.params, d)
     else:
         xyz = _scattering(c.params, d)
     return np.maximum(xyz @ RGB_FROM_XYZ.T, 0)
 
 
-def _preetham(params: dict, d: np.ndarray) -> np.ndarray:
+def _analytic(params: dict, d: np.ndarray) -> np.ndarray:
     sun = np.asarray(params.get("sun_direction", (0, 0, 1)), np.float64)
     sun = sun / max(np.linalg.norm(sun), 1e-9)
     theta = np.arccos(np.clip(d[:, 2], -1, 1))
     gamma = np.arccos(np.clip(d @ sun, -1, 1))
-    xyz = preetham(float(np.arccos(sun[2])), params.get("turbidity", 2.2), theta, gamma)
-    # Hosek and Wilkie's sky, whose tables are not at hand, is about a quarter as bright
-    return xyz * 0.25 if params.get("sky_type") == "HOSEK_WILKIE" else xyz
+    turbidity = params.get("turbidity", 2.2)
+    if params["sky_type"] == "PREETHAM":
+        return preetham(float(np.arccos(sun[2])), turbidity, theta, gamma)
+    return hosek(float(np.arcsin(sun[2])), turbidity, params.get("ground_albedo", 0.3), theta, gamma)
 
 
 def _scattering(params: dict, d: np.ndarray) -> np.ndarray:

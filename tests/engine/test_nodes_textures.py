@@ -1,0 +1,185 @@
+"""Textures: interpolation, wrapping, alpha, the mip pyramid and its use by footprint; colours of spectra."""
+
+import numpy as np
+import pytest
+
+from pointmr_engine.scene.errors import SceneError
+from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.texture import Image
+from pointmr_engine.shading.nodes.lights import parse_ies
+from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.program import compile_graph
+from pointmr_engine.shading.spectra import blackbody_rgb
+from pointmr_engine.shading.textures import Texture, texture_of
+
+NO_FOOTPRINT = np.zeros(1, np.float32)
+
+
+def picture(height=5, width=7, seed=1, **options):
+    pixels = np.random.default_rng(seed).random((height, width, 4)).astype(np.float32)
+    pixels[..., 3] = 1
+    return Image("picture", pixels, **{"colorspace": "Linear", **options})
+
+
+def test_texel_centres_are_exact_and_between_them_linear():
+    image = picture()
+    texture = Texture(image)
+    v, u = np.meshgrid((np.arange(5) + 0.5) / 5, (np.arange(7) + 0.5) / 7, indexing="ij")
+    uv = np.stack([u, v], -1).reshape(-1, 2)
+    assert texture.look_up(uv, NO_FOOTPRINT) == pytest.approx(image.pixels.reshape(-1, 4), abs=1e-6)
+    middle = texture.look_up(np.array([[1 / 7, 0.5 / 5]]), NO_FOOTPRINT)
+    assert middle[0] == pytest.approx((image.pixels[0, 0] + image.pixels[0, 1]) / 2, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("extension", "expected"), [("REPEAT", 6), ("EXTEND", 0), ("MIRROR", 0), ("CLIP", None)]
+)
+def test_what_lies_beyond_the_edge(extension, expected):
+    image = picture()
+    found = Texture(image).look_up(np.array([[-0.5 / 7, 0.1]]), NO_FOOTPRINT, extension)[0]
+    want = np.zeros(4) if expected is None else image.pixels[0, expected]
+    assert found == pytest.approx(want, abs=1e-6)
+
+
+def test_closest_takes_one_texel():
+    image = picture()
+    found = Texture(image).look_up(np.array([[0.99 / 7, 0.01]]), NO_FOOTPRINT, interpolation="Closest")[0]
+    assert found == pytest.approx(image.pixels[0, 0])
+
+
+def test_wide_footprints_average_in_linear_light():
+    """A checkerboard of black and white bytes is 50% light from afar, not the 21% that averaged sRGB would give."""
+    board = (np.indices((64, 64)).sum(0) % 2 * 255).astype(np.uint8)
+    pixels = np.stack([board, board, board, np.full_like(board, 255)], -1)
+    texture = Texture(Image("board", pixels, "sRGB"))
+    found = texture.look_up(np.array([[0.3, 0.7]]), np.ones(1, np.float32))[0]
+    assert found[:3] == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("size", [(16, 16), (5, 7), (1, 9), (33, 2)])
+def test_pyramid_keeps_the_mean(size):
+    image = picture(*size)
+    texture = Texture(image)
+    assert tuple(texture.pyramid[1][-1, 1:]) == (1, 1)
+    found = texture.look_up(np.array([[0.5, 0.5]]), np.full(1, 4.0, np.float32))[0]
+    assert found == pytest.approx(image.pixels.mean((0, 1)), abs=1e-5)
+
+
+def test_large_images_are_halved_in_bands():
+    rng = np.random.default_rng(6)
+    pixels = rng.integers(0, 256, (600, 4, 4), dtype=np.uint8)
+    texture = Texture(Image("tall", pixels, "Linear", "NONE"))
+    texels, levels = texture.pyramid
+    offset, width, height = levels[1]
+    second = texels[offset : offset + 4 * width * height].reshape(height, width, 4)[..., :3]
+    mean = pixels.reshape(300, 2, 2, 2, 4).mean((1, 3))[..., :3]
+    assert np.abs(second - mean).max() <= 0.5
+
+
+def test_footprint_blends_between_levels():
+    texture = Texture(picture(64, 64))
+    uv = np.random.default_rng(2).random((200, 2)).astype(np.float32)
+    spread = [
+        texture.look_up(uv, np.full(1, w, np.float32)).std(0)[:3].mean()
+        for w in (0, 1 / 64, 1 / 24, 1 / 8, 1)
+    ]
+    assert all(a >= b for a, b in zip(spread, spread[1:], strict=False)) and spread[-1] < 1e-3 < spread[-2]
+
+
+def test_alpha_modes():
+    pixels = np.array([[[200, 100, 50, 128]]], np.uint8)
+    uv = np.array([[0.5, 0.5]])
+
+    def look(mode, unassociate):
+        image = Image("dot", pixels, "Linear", mode)
+        return Texture(image).look_up(uv, NO_FOOTPRINT, unassociate=unassociate)[0] * 255
+
+    assert look("STRAIGHT", True) == pytest.approx([200, 100, 50, 128], abs=2)
+    assert look("STRAIGHT", False) == pytest.approx([100, 50, 25, 128], abs=1)
+    assert look("CHANNEL_PACKED", False) == pytest.approx([200, 100, 50, 128], abs=1e-3)
+    assert look("NONE", True) == pytest.approx([200, 100, 50, 255], abs=1e-3)
+
+
+def test_one_pyramid_per_image():
+    image = picture()
+    assert texture_of(image) is texture_of(image)
+
+
+def test_bad_images_are_named():
+    with pytest.raises(SceneError, match="broken"):
+        Image("broken", np.zeros((2, 2, 3), np.float32))
+    with pytest.raises(SceneError, match="colour space"):
+        Image("odd", np.zeros((2, 2, 4), np.float32), "ACES")
+
+
+def textured(mapping_scale=None, footprint=0.0):
+    nodes = {
+        "u": Node("uv_map"),
+        "t": Node("image_texture", {"vector": Link("u", "uv")}, {"image": picture(64, 64)}),
+    }
+    if mapping_scale is not None:
+        nodes["m"] = Node("mapping", {"vector": Link("u", "uv"), "scale": (mapping_scale,) * 3})
+        nodes["t"].inputs["vector"] = Link("m", "vector")
+    nodes["e"] = Node("emission", {"color": Link("t", "color")})
+    program = compile_graph(Graph(nodes, surface=Link("e", "emission")))
+    uv = np.random.default_rng(4).random((300, 2)).astype(np.float32)
+    points = SurfacePoints(300, uvs={"": uv}, uv_footprints={"": np.full(300, footprint, np.float32)})
+    assert program.needs == {"uv:", "uv_footprint:"}
+    return program.emission(points)
+
+
+def test_footprints_follow_the_mapping():
+    sharp, soft = textured().std(0).mean(), textured(footprint=0.1).std(0).mean()
+    assert soft < 0.5 * sharp
+    # the same footprint covers ten times fewer texels of a texture that is stretched ten times
+    assert textured(0.1, 0.1).std() > 1.2 * textured(1.0, 0.1).std()
+
+
+def test_footprints_of_any_coordinate_are_differenced():
+    nodes = {
+        "c": Node("texture_coordinate"),
+        "s": Node("math", {"value": Link("x", "x")}, {"operation": "SINE"}),
+        "x": Node("separate_xyz", {"vector": Link("c", "object")}),
+        "v": Node("combine_xyz", {"x": Link("s", "value"), "y": Link("x", "y")}),
+        "t": Node("image_texture", {"vector": Link("v", "vector")}, {"image": picture(64, 64)}),
+        "e": Node("emission", {"color": Link("t", "color")}),
+    }
+    program = compile_graph(Graph(nodes, surface=Link("e", "emission")))
+    rng = np.random.default_rng(5)
+    local = rng.random((300, 3)).astype(np.float32)
+    up = np.tile(np.array([[0, 0, 1]], np.float32), (300, 1))
+    spread = []
+    for width in (1e-4, 0.3):
+        footprint = np.full(300, width, np.float32)
+        points = SurfacePoints(300, local=local, position=local, geometric_normal=up, footprint=footprint)
+        spread.append(program.emission(points).std())
+    assert spread[1] < 0.5 * spread[0]
+
+
+def test_blackbodies_have_known_colours():
+    """CIE: the chromaticity of 6500 K is (0.3135, 0.3237); warm is red, and luminance is 1."""
+    rgb = blackbody_rgb(np.array([2000.0, 6500.0, 12000.0]))
+    assert rgb @ [0.2126, 0.7152, 0.0722] == pytest.approx(1, abs=2e-3)
+    xyz = np.linalg.inv([[3.2404542, -1.5371385, -0.4985314], [-0.969266, 1.8760108, 0.041556],
+                         [0.0556434, -0.2040259, 1.0572252]]) @ rgb[1]  # fmt: skip
+    assert xyz[:2] / xyz.sum() == pytest.approx([0.3135, 0.3237], abs=1e-3)
+
+
+IES = """IESNA:LM-63-2002
+TILT=NONE
+1 1000 1 3 2 1 2 0 0 0
+1 1 10
+0 90 180
+0 180
+100 50 0
+200 60 0
+"""
+
+
+def test_ies_profiles():
+    web = parse_ies(IES)
+    assert len(web.horizontal) == 3 and web.horizontal[-1] == pytest.approx(2 * np.pi)
+    down, level = web.look_up(np.array([0.0, 0.0]), np.array([1e-6, np.pi / 2]))
+    assert down == pytest.approx(2 * level, rel=0.01)
+    with pytest.raises(ValueError, match="TILT"):
+        parse_ies("not a profile")
