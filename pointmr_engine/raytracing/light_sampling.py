@@ -88,62 +88,92 @@ def power_heuristic(pdf: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @_jit
-def sample_lights(lamps, emitters, world, tree, world_visibility, position, normal, transmissive, u, out):
-    """`Lights.sample`: one light and a direction to it for each point."""
+def choose_lights(tree, position, normal, transmissive, u, out):
+    """First stage of `Lights.sample`: kind and index of a light for each point; its probability in out.pdf."""
     for i in range(len(position)):
-        out.kind[i] = NONE
-        out.pending[i] = False
-        out.triangle[i] = -1
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
         node, probability = choose_light(tree, px, py, pz, nx, ny, nz, transmissive[i], u[i, 0])
-        if node < 0:
-            continue
-        light = tree.kind[node]
-        item = tree.item[node]
-        u1, u2 = u[i, 1], u[i, 2]
-        scale = 1.0
-        if light == TRIANGLE_NODE:
-            kind = TRIANGLE
-            dx, dy, dz, t, pdf, bu, bv = sample_emitter(emitters, item, px, py, pz, u1, u2)
-        elif light == WORLD_NODE:
-            kind = WORLD
-            dx, dy, dz, pdf = sample_world(world, nx, ny, nz, transmissive[i], u1, u2)
-            t = math.inf
-        else:
-            kind = LAMP
-            dx, dy, dz, t, pdf, scale = sample_lamp(
-                lamps, item, px, py, pz, nx, ny, nz, transmissive[i], u1, u2
-            )
-        pdf *= probability
-        # written so that a NaN fails as well
-        if not (pdf > 0.0 and pdf < math.inf and scale > 0.0 and t > 0.0):
-            continue
+        kind = NONE
+        if node >= 0:
+            light = tree.kind[node]
+            kind = TRIANGLE if light == TRIANGLE_NODE else (WORLD if light == WORLD_NODE else LAMP)
+            out.index[i] = tree.item[node]
         out.kind[i] = kind
-        out.index[i] = item
-        out.direction[i, 0], out.direction[i, 1], out.direction[i, 2] = dx, dy, dz
-        out.distance[i] = t
-        out.pdf[i] = pdf
-        out.cast_shadow[i] = True
-        out.mis[i] = True
-        if kind == LAMP:
+        out.pdf[i] = probability
+        out.pending[i] = kind == WORLD
+        out.triangle[i] = -1
+
+
+@_jit
+def _place(out, i, dx, dy, dz, t, pdf):
+    """Note the direction to light i's sample; False, and no light, where it could not be sampled."""
+    pdf *= out.pdf[i]
+    # written so that a NaN fails as well
+    if not (pdf > 0.0 and pdf < math.inf and t > 0.0):
+        out.kind[i] = NONE
+        out.pending[i] = False
+        return False
+    out.direction[i, 0], out.direction[i, 1], out.direction[i, 2] = dx, dy, dz
+    out.distance[i] = t
+    out.pdf[i] = pdf
+    out.cast_shadow[i] = True
+    out.mis[i] = True
+    return True
+
+
+@_jit
+def sample_lamps(lamps, position, normal, transmissive, u, out):
+    """Second stage: directions to the lamps that were chosen."""
+    for i in range(len(position)):
+        if out.kind[i] != LAMP:
+            continue
+        lamp = out.index[i]
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
+        dx, dy, dz, t, pdf, scale = sample_lamp(
+            lamps, lamp, px, py, pz, nx, ny, nz, transmissive[i], u[i, 1], u[i, 2]
+        )
+        if not scale > 0.0:
+            pdf = 0.0
+        if _place(out, i, dx, dy, dz, t, pdf):
             for k in range(3):
-                out.radiance[i, k] = lamps.radiance[item, k] * scale
-            out.mis[i] = lamps.mis[item]
-            out.cast_shadow[i] = lamps.cast_shadow[item]
-            out.visibility[i] = lamps.visibility[item]
-        elif kind == WORLD:
-            out.pending[i] = True
-            out.visibility[i] = world_visibility
-        else:
-            out.pending[i] = emitters.varying[item]
+                out.radiance[i, k] = lamps.radiance[lamp, k] * scale
+            out.mis[i] = lamps.mis[lamp]
+            out.cast_shadow[i] = lamps.cast_shadow[lamp]
+            out.visibility[i] = lamps.visibility[lamp]
+
+
+@_jit
+def sample_emitters(emitters, position, u, out):
+    """Second stage: points of the emissive triangles that were chosen."""
+    for i in range(len(position)):
+        if out.kind[i] != TRIANGLE:
+            continue
+        e = out.index[i]
+        dx, dy, dz, t, pdf, bu, bv = sample_emitter(
+            emitters, e, position[i, 0], position[i, 1], position[i, 2], u[i, 1], u[i, 2]
+        )
+        if _place(out, i, dx, dy, dz, t, pdf):
             for k in range(3):
-                out.radiance[i, k] = emitters.radiance[item, k]
-            out.visibility[i] = emitters.visibility[item]
-            out.triangle[i] = emitters.triangle[item]
-            out.path[i] = emitters.path[item]
-            out.u[i] = bu
-            out.v[i] = bv
+                out.radiance[i, k] = emitters.radiance[e, k]
+            out.pending[i] = emitters.varying[e]
+            out.visibility[i] = emitters.visibility[e]
+            out.triangle[i] = emitters.triangle[e]
+            out.path[i] = emitters.path[e]
+            out.u[i], out.v[i] = bu, bv
+
+
+@_jit
+def sample_worlds(world, visibility, normal, transmissive, u, out):
+    """Second stage: directions where the world was chosen."""
+    for i in range(len(normal)):
+        if out.kind[i] != WORLD:
+            continue
+        nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
+        dx, dy, dz, pdf = sample_world(world, nx, ny, nz, transmissive[i], u[i, 1], u[i, 2])
+        if _place(out, i, dx, dy, dz, math.inf, pdf):
+            out.visibility[i] = visibility
 
 
 @_jit

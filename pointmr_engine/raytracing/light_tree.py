@@ -287,9 +287,13 @@ def node_importance(values, node, px, py, pz, nx, ny, nz, transmissive):
     elif kind == LAMP:
         likely = _falloff(values, node, axis)
     else:
-        likely = _facing(axis, 1.0, 0.0, cos_o, sin_o, cos_oe)
-        if behind > 0.0:
-            likely = max(likely, behind * _facing(-axis, 1.0, 0.0, cos_o, sin_o, cos_oe))
+        likely = axis if axis >= 0.0 else (-axis if behind > 0.0 else axis)
+        if likely >= cos_o:
+            likely = 1.0
+        else:
+            likely = likely * cos_o + math.sqrt(max(0.0, 1.0 - likely * likely)) * sin_o
+        if axis < 0.0 and behind > 0.0:
+            likely *= behind
     return 0.5 * near * (best * shine + max(0.0, c) * max(0.0, likely))
 
 

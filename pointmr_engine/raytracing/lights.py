@@ -89,9 +89,13 @@ class Lights:
         `out` may be longer than N. Rows flagged `pending` have no radiance yet: see `emission_at`.
         """
         a = self.arrays
-        kernels.sample_lights(
-            a.lamps, a.emitters, a.world, a.tree, a.world_visibility, position, normal, transmissive, u, out
-        )
+        kernels.choose_lights(a.tree, position, normal, transmissive, u, out)
+        if len(a.lamps.shape):
+            kernels.sample_lamps(a.lamps, position, normal, transmissive, u, out)
+        if len(a.emitters.path):
+            kernels.sample_emitters(a.emitters, position, u, out)
+        if a.tree.leaf_of_world >= 0:
+            kernels.sample_worlds(a.world, a.world_visibility, normal, transmissive, u, out)
 
     def emission_at(self, samples: LightSamples, index: np.ndarray | None = None) -> None:
         """Fill in `radiance` of the samples (of the rows `index`, or all) whose emission varies; clears `pending`."""
