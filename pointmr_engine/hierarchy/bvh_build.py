@@ -54,7 +54,7 @@ def _best_plane(bins, counts, n_bins, leaf_size, sweep, right):
             minimum_into(sweep, np.int64(0), bins, np.int64(axis * BINS + b))
             n += counts[axis, b]
             # in units of full leaves, for a leaf costs the same however full it is
-            right[b] = half_area(sweep, 0) * ((n + leaf_size - 1) // leaf_size) if n > 0 else np.inf
+            right[b] = half_area(sweep, np.int64(0)) * ((n + leaf_size - 1) // leaf_size) if n > 0 else np.inf
         for k in range(8):
             sweep[0, k] = FAR
         n = 0
@@ -62,7 +62,7 @@ def _best_plane(bins, counts, n_bins, leaf_size, sweep, right):
             minimum_into(sweep, np.int64(0), bins, np.int64(axis * BINS + b))
             n += counts[axis, b]
             if n > 0:
-                cost = half_area(sweep, 0) * ((n + leaf_size - 1) // leaf_size) + right[b + 1]
+                cost = half_area(sweep, np.int64(0)) * ((n + leaf_size - 1) // leaf_size) + right[b + 1]
                 if cost < best:
                     best, best_axis, best_bin = cost, axis, b
     return best_axis, best_bin
@@ -127,6 +127,15 @@ def _split(prims, start, stop, leaf_size, median, bins, counts, low, scale, swee
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _push(work, n, node, start, stop, depth):
+    work[n, 0] = node
+    work[n, 1] = start
+    work[n, 2] = stop
+    work[n, 3] = depth
+    return n + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def build_wide(prims, leaf_size, first_node, first_leaf, boxes, children, leaves):
     """Build over `prims` (N, 8) float32 (reordered in place), at least one.
 
@@ -147,8 +156,7 @@ def build_wide(prims, leaf_size, first_node, first_leaf, boxes, children, leaves
     work = np.empty(
         (1024, 4), np.int64
     )  # node, start, stop, depth: seven per level, and the depth is bounded
-    work[0] = (first_node, 0, len(prims), 1)
-    n_work = 1
+    n_work = _push(work, np.int64(0), np.int64(first_node), np.int64(0), np.int64(len(prims)), np.int64(1))
     n_nodes, n_leaves = first_node + 1, first_leaf
     deepest = 1
     if n_nodes > len(boxes):
@@ -158,13 +166,13 @@ def build_wide(prims, leaf_size, first_node, first_leaf, boxes, children, leaves
         node, start, stop, depth = work[n_work, 0], work[n_work, 1], work[n_work, 2], work[n_work, 3]
         deepest = max(deepest, depth)
         begin[0], end[0] = start, stop
-        _bounds_of(prims, start, stop, bounds, 0)
-        n = 1
+        _bounds_of(prims, start, stop, bounds, np.int64(0))
+        n = np.int64(1)
         while n < 8:
-            widest, area = -1, np.float32(-1)
+            widest, area = np.int64(-1), np.float32(-1)
             for c in range(n):
                 if end[c] - begin[c] > leaf_size:
-                    a = half_area(bounds, c)
+                    a = half_area(bounds, np.int64(c))
                     if a > area or widest < 0:
                         widest, area = c, a
             if widest < 0:
@@ -193,7 +201,6 @@ def build_wide(prims, leaf_size, first_node, first_leaf, boxes, children, leaves
                 if n_nodes >= len(boxes):
                     return -1, 0, 0
                 children[node, c] = n_nodes
-                work[n_work] = (n_nodes, begin[c], end[c], depth + 1)
-                n_work += 1
+                n_work = _push(work, n_work, np.int64(n_nodes), begin[c], end[c], depth + 1)
                 n_nodes += 1
     return n_nodes - first_node, n_leaves - first_leaf, deepest

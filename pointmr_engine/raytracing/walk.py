@@ -114,6 +114,22 @@ def _describe(w, chain, length, hits, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _enter(levels, level, ox, oy, oz, dx, dy, dz, group, flags, bottom, path):
+    """Keep what is needed to come back to a group."""
+    ray, state = levels.ray, levels.state
+    ray[level, 0] = ox
+    ray[level, 1] = oy
+    ray[level, 2] = oz
+    ray[level, 3] = dx
+    ray[level, 4] = dy
+    ray[level, 5] = dz
+    state[level, 0] = group
+    state[level, 1] = flags
+    state[level, 2] = bottom
+    levels.path[level] = path
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
     """Both kinds of walk over rays[start:stop]."""
     chain, best_chain = levels.chain, levels.best_chain
@@ -175,9 +191,7 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
                         chain[level, 1] = batch
                         part, below = load_i32(w.group_part, child), level + 1
                         if part < 0:
-                            levels.ray[level] = (ox, oy, oz, dx, dy, dz)
-                            levels.state[level] = (group, flags, bottom)
-                            levels.path[level] = path
+                            _enter(levels, level, ox, oy, oz, dx, dy, dz, group, flags, bottom, path)
                             level = below
                             ox, oy, oz, dx, dy, dz = px, py, pz, qx, qy, qz
                             group, flags, path, bottom = child, own, below_path, sp
