@@ -55,7 +55,8 @@ class Deviation:
     rel_mse: mean over the renders of their relative MSE, noise and all.
     noise, reference_noise: what of it is the variance of one render and of the reference, from independent halves.
     bias: rel_mse less both, an unbiased estimate of the relative MSE that endless samples would leave (it scatters
-    around zero, so it may be negative). flip: mean FLIP of the first render. alpha: mean absolute error of alpha.
+    around zero, so it may be negative); bias_error: its standard error, from its spread over the pixels.
+    flip: mean FLIP of the first render. alpha: mean absolute error of alpha.
     not_finite: values of the first render that are NaN or infinite.
     """
 
@@ -63,6 +64,7 @@ class Deviation:
     noise: float
     reference_noise: float
     bias: float
+    bias_error: float
     flip: float
     alpha: float
     not_finite: int
@@ -76,7 +78,7 @@ def sample_variance(images: list[np.ndarray]) -> np.ndarray:
 def deviation(renders: list[np.ndarray], reference_halves: list[np.ndarray]) -> Deviation:
     """Compare independent renders of one method with independent halves of a reference.
 
-    With a single render its noise cannot be told from bias: noise and bias are NaN then.
+    With a single render its noise cannot be told from bias: noise, bias and bias_error are NaN then.
     """
     if any(r.shape != reference_halves[0].shape for r in renders):
         shapes = [r.shape for r in renders]
@@ -86,17 +88,19 @@ def deviation(renders: list[np.ndarray], reference_halves: list[np.ndarray]) -> 
     reference = over_backdrop(reference_rgba)
     images = [over_backdrop(np.nan_to_num(r)) for r in renders]
     weight = reference**2 + EPSILON
-    rel = float(np.mean([relative_square(i - reference, reference) for i in images]))
-    reference_noise = (
-        float(np.mean(sample_variance(halves) / len(halves) / weight)) if len(halves) > 1 else np.nan
-    )
-    noise = float(np.mean(sample_variance(images) / weight)) if len(images) > 1 else np.nan
+    square = np.mean([(i - reference) ** 2 for i in images], axis=0) / weight
+    unknown = np.full_like(square, np.nan)
+    noise = sample_variance(images) / weight if len(images) > 1 else unknown
+    reference_noise = sample_variance(halves) / len(halves) / weight if len(halves) > 1 else unknown
+    # Neighbours share samples through the pixel filter: some two pixels count as one independent draw.
+    bias = np.mean(square - noise - reference_noise, axis=-1)
     first = np.nan_to_num(renders[0])
     return Deviation(
-        rel_mse=rel,
-        noise=noise,
-        reference_noise=reference_noise,
-        bias=rel - noise - reference_noise,
+        rel_mse=float(square.mean()),
+        noise=float(noise.mean()),
+        reference_noise=float(reference_noise.mean()),
+        bias=float(bias.mean()),
+        bias_error=float(bias.std() * np.sqrt(2.0 / bias.size)),
         flip=flip(first, reference_rgba)[0],
         alpha=float(np.mean(np.abs(first[..., 3] - reference_rgba[..., 3]))),
         not_finite=int(np.count_nonzero(~np.isfinite(renders[0]))),

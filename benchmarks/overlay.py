@@ -114,6 +114,7 @@ COLUMNS = (
     ("relMSE", "rel_mse", ".2e"),
     ("of it noise", "noise", ".2e"),
     ("bias", "bias", ".2e"),
+    ("+-", "bias_error", ".1e"),
     ("FLIP", "flip", ".4f"),
     ("alpha error", "alpha", ".4f"),
 )

@@ -11,6 +11,7 @@ COLUMNS = (
     ("of it noise", "noise", ".2e"),
     ("reference's noise", "reference_noise", ".2e"),
     ("bias", "bias", ".2e"),
+    ("+-", "bias_error", ".1e"),
     ("FLIP", "flip", ".4f"),
     ("alpha error", "alpha", ".4f"),
     ("render s", "render_s", ".3f"),
