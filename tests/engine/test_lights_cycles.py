@@ -31,10 +31,18 @@ CASES = {
     "point scaled": dict(kind="POINT", place=LOW, radius=0.1, soft_falloff=False, scale=(2.0, 2.0, 2.0)),
     "spot delta": dict(kind="SPOT", place=TILTED, spot_angle=1.0, spot_blend=0.3),
     "spot sharp": dict(kind="SPOT", place=TILTED, spot_angle=1.0, spot_blend=0.0),
-    "spot sphere": dict(kind="SPOT", place=TILTED, spot_angle=0.9, spot_blend=1.0, radius=0.5, soft_falloff=False),
-    "spot disc": dict(kind="SPOT", place=TILTED, spot_angle=0.9, spot_blend=0.5, radius=0.5, soft_falloff=True),
-    "spot wide": dict(kind="SPOT", place=TILTED, spot_angle=math.pi, spot_blend=0.2, radius=0.1, soft_falloff=False),
-    "spot scaled": dict(kind="SPOT", place=TILTED, spot_angle=0.7, spot_blend=0.4, radius=0.1, scale=(2.0, 1.0, 1.0)),
+    "spot sphere": dict(
+        kind="SPOT", place=TILTED, spot_angle=0.9, spot_blend=1.0, radius=0.5, soft_falloff=False
+    ),
+    "spot disc": dict(
+        kind="SPOT", place=TILTED, spot_angle=0.9, spot_blend=0.5, radius=0.5, soft_falloff=True
+    ),
+    "spot wide": dict(
+        kind="SPOT", place=TILTED, spot_angle=math.pi, spot_blend=0.2, radius=0.1, soft_falloff=False
+    ),
+    "spot scaled": dict(
+        kind="SPOT", place=TILTED, spot_angle=0.7, spot_blend=0.4, radius=0.1, scale=(2.0, 1.0, 1.0)
+    ),
     "sun delta": dict(kind="SUN", place=TILTED, angle=0.0, power=3.0),
     "sun small": dict(kind="SUN", place=TILTED, angle=0.01, power=3.0),
     "sun wide": dict(kind="SUN", place=TILTED, angle=1.5, power=3.0),
@@ -48,7 +56,9 @@ CASES = {
     "area not normalized": dict(kind="AREA", place=TILTED, size_x=1.5, normalize=False, power=20.0),
     "area spread": dict(kind="AREA", place=TILTED, size_x=1.0, spread=1.2),
     "area disk spread": dict(kind="AREA", place=TILTED, shape="DISK", size_x=1.0, spread=0.8),
-    "area ellipse spread": dict(kind="AREA", place=TILTED, shape="ELLIPSE", size_x=2.0, size_y=0.5, spread=0.8),
+    "area ellipse spread": dict(
+        kind="AREA", place=TILTED, shape="ELLIPSE", size_x=2.0, size_y=0.5, spread=0.8
+    ),
     "area narrow spread": dict(kind="AREA", place=TILTED, size_x=1.2, spread=0.05),
     "area no spread": dict(kind="AREA", place=TILTED, size_x=1.2, spread=0.0),
     "area spread not normalized": dict(kind="AREA", place=TILTED, size_x=1.0, spread=1.0, normalize=False),
@@ -92,7 +102,9 @@ def add_lamp(scene, case: dict):
     names = {"radius": "shadow_soft_size", "spot_angle": "spot_size", "soft_falloff": "use_soft_falloff"}
     names |= {"size_x": "size", "size_y": "size_y", "power": "energy"}
     place, scale = case["place"], case.get("scale", (1.0, 1.0, 1.0))
-    settings = {"power": 50.0, "radius": 0.0} | {k: v for k, v in case.items() if k not in ("place", "scale", "kind")}
+    settings = {"power": 50.0, "radius": 0.0} | {
+        k: v for k, v in case.items() if k not in ("place", "scale", "kind")
+    }
     if case["kind"] in ("SUN", "AREA"):
         del settings["radius"]
     data = bpy.data.lights.new("lamp", case["kind"])
