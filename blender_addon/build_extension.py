@@ -29,7 +29,8 @@ PLATFORM_TAGS = {
     "windows-x64": ("win_amd64",),
     "macos-arm64": ("macosx_14_0_arm64", "macosx_12_0_arm64", "macosx_11_0_arm64"),
 }
-NOT_SHIPPED = {"build_extension.py", "__pycache__", "blender_manifest.toml"}
+COMMAND_LINE = {"cli.py", "batch.py", "headless.py", "command"}  # serve programs outside Blender
+NOT_SHIPPED = {"build_extension.py", "__pycache__", "blender_manifest.toml"} | COMMAND_LINE
 
 
 def this_platform() -> str:

@@ -20,7 +20,7 @@ import numpy as np
 
 SHARED = Path(os.environ["POINTMR_SESSION"])
 values: dict = {}
-LONGEST_WAIT = 200.0  # a first render compiles its kernels
+LONGEST_WAIT = 400.0  # a first render compiles its kernels
 
 
 def run(session) -> None:
