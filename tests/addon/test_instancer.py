@@ -169,9 +169,9 @@ def test_deep_nesting_is_never_expanded(scene):
         place(f"points {level}", below, "POINTS", points("m", grid.tolist()), to=c)
         below = c
     place("top", below)
-    start = time.perf_counter()
+    start = time.process_time()
     result = placements.with_depsgraph(sync.export)
-    assert time.perf_counter() - start < 10
+    assert time.process_time() - start < 10
     unique, instanced, _ = groups.count_triangles(result.root)
     assert (unique, instanced) == (2, 2 * 10**10)
 
