@@ -121,7 +121,7 @@ class Flat:
             q = np.cross(s, e1)
             v = q @ direction / det
             t = (e2 * q).sum(1) / det
-        inside = np.minimum(np.minimum(u, v), 1 - u - v)
+            inside = np.minimum(np.minimum(u, v), 1 - u - v)
         inside = np.where(np.isfinite(inside), inside, -np.inf)
         blurred = np.where(
             (inside > -1e-3) & (t > t_min) & (t < t_max), t, np.inf
