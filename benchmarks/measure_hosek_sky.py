@@ -1,7 +1,7 @@
-"""Measures the sky of Hosek and Wilkie in Cycles, and fits their formula to it: makes pointmr_engine/shading/hosek_sky.npz.
+"""Measures Hosek and Wilkie's sky in Cycles and fits their formula to it, for pointmr_engine/shading/hosek_sky.npz.
 
-For every turbidity, albedo and elevation of the sun on a grid, a panorama of the sky is rendered, and for X, Y and Z the
-nine coefficients of "An analytic model for full spectral sky-dome radiance" (2012) are found: four by a search, the
+For every turbidity, albedo and elevation of the sun on a grid, a panorama of the sky is rendered, and for X, Y and Z
+the nine coefficients of "An analytic model for full spectral sky-dome radiance" (2012) are found: four by a search, the
 other five, in which the formula is linear, by least squares. Run it with the Blender wheel's Python.
 """
 
@@ -17,10 +17,12 @@ import numpy as np
 from pointmr_engine.shading.sky_models import hosek_factors
 from pointmr_engine.shading.spectra import RGB_FROM_XYZ
 
-TURBIDITIES = np.arange(1.0, 11.0)
-ALBEDOS = np.array([0.0, 1.0])
-ELEVATIONS = np.pi / 2 * np.linspace(0.0, 1.0, 10) ** 3
-WIDTH, HEIGHT = 64, 32
+# 2.2 and 0.3 are Blender's defaults
+TURBIDITIES = np.array([1.0, 2.0, 2.2, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0])
+ALBEDOS = np.array([0.0, 0.3, 0.6, 1.0])
+ELEVATIONS = np.pi / 2 * np.linspace(0.0, 1.0, 13) ** 3
+WIDTH, HEIGHT = 48, 24
+GOOD = 2e-4  # relative error at which a fit is not tried from other starts
 
 
 def scene() -> bpy.types.ShaderNodeTexSky:
@@ -106,6 +108,8 @@ def fit(theta: np.ndarray, gamma: np.ndarray, values: np.ndarray, starts: list[n
         error = float(np.sqrt((r * r).mean()))
         if error < best[0]:
             best = (error, p, x)
+        if error < GOOD:
+            break
     return np.concatenate(best[1:]), best[0]
 
 

@@ -35,7 +35,8 @@ MATH = (
 ).split()
 VECTOR_MATH = (
     "ADD SUBTRACT MULTIPLY DIVIDE MULTIPLY_ADD CROSS_PRODUCT PROJECT REFLECT REFRACT FACEFORWARD DOT_PRODUCT "
-    "DISTANCE LENGTH SCALE NORMALIZE ABSOLUTE POWER SIGN MINIMUM MAXIMUM FLOOR CEIL FRACTION MODULO WRAP SNAP SINE COSINE TANGENT"
+    "DISTANCE LENGTH SCALE NORMALIZE ABSOLUTE POWER SIGN MINIMUM MAXIMUM FLOOR CEIL FRACTION MODULO WRAP SNAP SINE "
+    "COSINE TANGENT"
 ).split()
 
 
@@ -652,6 +653,26 @@ def _bump_on_bump(t: Tree):
     noise = t.node("TexNoise", {0: vector, "Scale": 3.0}).outputs[0]
     first = t.node("Bump", {"Height": noise, "Distance": 0.3}).outputs[0]
     return offset(t, t.node("Bump", {"Height": t.ramp(1), "Distance": 0.5, "Normal": first}).outputs[0], 0.4)
+
+
+PHOTOMETRY = """IESNA:LM-63-2002
+TILT=NONE
+1 1000 1 5 1 1 2 0 0 0
+1 1 10
+0 30 60 75 90
+0
+1000 800 500 200 0
+"""
+
+
+@case("ies profile")
+def _ies(t: Tree):
+    node = t.node("TexIES", {1: 0.01}, mode="INTERNAL")
+    node.ies = bpy.data.texts.new("profile")
+    node.ies.from_string(PHOTOMETRY)
+    uv = t.node("UVMap").outputs["UV"]
+    t.tree.links.new(t.node("Mapping", {0: uv, "Location": (0.1, 0.2, -0.9)}).outputs[0], node.inputs[0])
+    return node.outputs[0]
 
 
 # ---- trees of shaders

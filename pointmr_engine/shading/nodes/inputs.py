@@ -49,6 +49,11 @@ def _position(c: Call) -> np.ndarray:
     return _float(c.points.position)
 
 
+@node("implicit:incoming", {}, {"value": VECTOR}, reads=lambda params, wanted: ("incoming",))
+def _incoming(c: Call) -> np.ndarray:
+    return c.points.incoming
+
+
 @node("implicit:uv", {}, {"value": VECTOR}, reads=lambda params, wanted: ("uv:",))
 def _uv(c: Call) -> np.ndarray:
     return uv_vector(c.points.uvs[""])

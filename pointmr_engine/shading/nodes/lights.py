@@ -112,12 +112,12 @@ def _prepare(params: dict) -> dict:
 
 @node(
     "ies_texture",
-    {"vector": (VECTOR, From("generated")), "strength": (FLOAT, 1.0)},
+    {"vector": (VECTOR, From("incoming")), "strength": (FLOAT, 1.0)},
     {"fac": FLOAT},
     prepare=_prepare,
 )
 def _ies_texture(c: Call) -> np.ndarray:
-    """params: ies, the text of the file. Directions point from the lamp, in its own space."""
+    """params: ies, the text of the file. Directions point from the lamp; straight down is the vertical angle 0."""
     web = c.params.get("web")
     if web is None:
         return c["strength"] * 100
