@@ -43,8 +43,8 @@ def test_a_point_light_follows_the_inverse_square():
     scene = lit_floor(power=power, radius=0.0)
     scene.camera.focal_length = 5000.0  # the middle of the floor only
     image = combined(scene, width=3, height=3, samples=16)
-    irradiance = power / (4 * math.pi * height**2) / math.pi  # Blender's watts: intensity P / (4 pi^2)
-    np.testing.assert_allclose(image[1, 1, :3], 0.8 / math.pi * irradiance * math.pi, rtol=0.02)
+    irradiance = power / (4 * math.pi * height**2)
+    np.testing.assert_allclose(image[1, 1, :3], 0.8 / math.pi * irradiance, rtol=0.02)
 
 
 def test_an_emitter_shows_its_radiance_and_lights_by_its_solid_angle():
