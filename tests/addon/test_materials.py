@@ -1,12 +1,16 @@
 """Materials, images, worlds and lights of Blender as the engine gets them."""
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+sys.path.insert(0, str(Path(__file__).parent))
+
+import node_planes  # noqa: E402
 
 from blender_addon.sync.images import ImageSync  # noqa: E402
 from blender_addon.sync.materials import MaterialSync  # noqa: E402
@@ -181,6 +185,55 @@ def test_conductors_by_index_become_tints(sync):
     (leaf,) = compile_graph(sync.get(m).graph).evaluate(SurfacePoints(1))
     expected = ((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2)
     assert leaf.block[0, 3:6] == pytest.approx(expected, rel=1e-4)
+
+
+ALL_NODES = sorted(
+    n for n in dir(bpy.types) if n.startswith("ShaderNode") and hasattr(getattr(bpy.types, n), "bl_rna")
+)
+
+
+@pytest.mark.parametrize("kind", ALL_NODES)
+def test_no_node_stops_a_material(sync, kind):
+    """Every kind of node that Blender can add, as it comes, on a colour or as the surface."""
+    objects = node_planes.build({"any": lambda tree: tree.node("RGB").outputs[0]})
+    m = objects["any"].data.materials[0]
+    _, nodes, links = nodes_of(m)
+    try:
+        node = nodes.new(kind)
+    except RuntimeError:
+        pytest.skip(f"{kind} is not a node that can be added")
+    emission = next(n for n in nodes if n.bl_idname == "ShaderNodeEmission")
+    output = next(n for n in nodes if n.bl_idname == "ShaderNodeOutputMaterial")
+    for socket in node.outputs:
+        links.new(socket, output.inputs[0] if socket.type == "SHADER" else emission.inputs[0])
+        program = compile_graph(sync.get(m).graph)
+        points = node_planes.points_of(objects["any"])
+        for leaf in program.evaluate(points):
+            assert np.isfinite(leaf.block).all() and len(leaf.block) in (1, points.count)
+        assert np.isfinite(program.emission(points)).all() and np.isfinite(program.transparency(points)).all()
+        sync._materials.clear()
+    assert not [text for level, text in sync.reports if level == "ERROR"]
+
+
+@pytest.mark.skipif(
+    not hasattr(bpy.types, "InlineShaderNodes"), reason="zones of shader nodes came with Blender 5"
+)
+def test_repeat_zones_are_unrolled(sync):
+    m = material()
+    _, nodes, links = nodes_of(m)
+    first, last = nodes.new("GeometryNodeRepeatInput"), nodes.new("GeometryNodeRepeatOutput")
+    first.pair_with_output(last)
+    last.repeat_items.clear()
+    last.repeat_items.new("FLOAT", "x")
+    first.inputs["Iterations"].default_value = 4
+    first.inputs["x"].default_value = 0.2
+    add = nodes.new("ShaderNodeMath")
+    add.inputs[1].default_value = 0.1
+    links.new(first.outputs["x"], add.inputs[0])
+    links.new(add.outputs[0], last.inputs["x"])
+    links.new(last.outputs["x"], nodes["Principled BSDF"].inputs["Roughness"])
+    (leaf,) = compile_graph(sync.get(m).graph).evaluate(SurfacePoints(1))
+    assert leaf.block[0, 7] == pytest.approx(0.6)
 
 
 def test_a_broken_tree_is_reported_and_the_rest_renders(sync, monkeypatch):
