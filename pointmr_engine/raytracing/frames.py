@@ -1,0 +1,231 @@
+"""Frames: where rays hit, exactly, with normals, sides and materials; and what else a triangle says about a point."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
+from pointmr_engine.numerics.transforms import cofactors
+from pointmr_engine.raytracing.rays import Hits, Rays
+
+OFFSET = (
+    2.0**-36
+)  # of the position's and the part's size: far above the rounding of origins, far below any detail
+
+
+class Frames(NamedTuple):
+    """Where N rays hit. Undefined where hits.triangle < 0 but for `material` (-1)."""
+
+    position: np.ndarray  # (N, 3) float64 world
+    geometric_normal: np.ndarray  # (N, 3) float32 unit, world, as modelled (mirroring keeps outside outside)
+    smooth_normal: np.ndarray  # (N, 3) float32 unit, world, interpolated; the geometric one on flat meshes
+    backfacing: np.ndarray  # (N,) bool: the ray came from behind the geometric normal
+    material: np.ndarray  # (N,) int32 index into geometry.materials
+    offset: (
+        np.ndarray
+    )  # (N,) float64, metres: t_min of a ray that starts at `position` (with skip_triangle, skip_path)
+
+
+def allocate_frames(n: int) -> Frames:
+    """Room for n frames."""
+    return Frames(
+        np.zeros((n, 3)),
+        np.zeros((n, 3), np.float32),
+        np.zeros((n, 3), np.float32),
+        np.zeros(n, np.bool_),
+        np.full(n, -1, np.int32),
+        np.zeros(n),
+    )
+
+
+class Samples(NamedTuple):
+    """N points on parts, from hits or chosen freely."""
+
+    part: np.ndarray  # (N,) int32
+    triangle: np.ndarray  # (N,) int32 scene-wide
+    u: np.ndarray  # (N,) float64: differences of moved points are smaller than single precision resolves
+    v: np.ndarray  # (N,) float64
+    world_from_part: np.ndarray  # (N, 3, 4) float64
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normalized(x, y, z, fallback, out):
+    length = np.sqrt(x * x + y * y + z * z)
+    if length > 0.0 and length < np.inf:
+        out[0], out[1], out[2] = x / length, y / length, z / length
+    else:
+        out[0], out[1], out[2] = fallback[0], fallback[1], fallback[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def frames_of(tables, samples, outgoing, out):
+    """Frames of all samples; outgoing (N, 3) points away from the viewer, or (0, 3): seen from the front."""
+    corner = np.empty((3, 3))
+    local = np.empty(3)
+    normals_to_world = np.empty((3, 3))
+    up = np.array((0.0, 0.0, 1.0))
+    for n in range(len(samples.part)):
+        triangle, p = np.int64(samples.triangle[n]), samples.part[n]
+        if triangle < 0:
+            out.material[n] = -1
+            continue
+        m = samples.world_from_part[n]
+        t = triangle - tables.first_triangle[p]
+        corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+        u, v = samples.u[n], samples.v[n]
+        w = 1.0 - u - v
+        for k in range(3):
+            for axis in range(3):
+                corner[k, axis] = positions[3 * np.int64(corners[3 * t + k]) + axis]
+        for axis in range(3):
+            local[axis] = (
+                corner[0, axis]
+                + u * (corner[1, axis] - corner[0, axis])
+                + v * (corner[2, axis] - corner[0, axis])
+                + tables.center[p, axis]
+            )
+        size, scale = 0.0, 0.0
+        for r in range(3):
+            x = m[r, 0] * local[0] + m[r, 1] * local[1] + m[r, 2] * local[2] + m[r, 3]
+            out.position[n, r] = x
+            size = max(size, abs(x))
+            scale = max(scale, abs(m[r, 0]) + abs(m[r, 1]) + abs(m[r, 2]))
+        reach = (
+            max(abs(tables.center[p, 0]), abs(tables.center[p, 1]), abs(tables.center[p, 2]))
+            + tables.radius[p]
+        )
+        out.offset[n] = OFFSET * (size + scale * reach)
+        cofactors(m, normals_to_world)
+        q = normals_to_world
+        ax, ay, az = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
+        bx, by, bz = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1], corner[2, 2] - corner[0, 2]
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        geometric = out.geometric_normal[n]
+        _normalized(
+            q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
+            q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
+            q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
+            up,
+            geometric,
+        )
+        if tables.normals[p] == 0:
+            out.smooth_normal[n] = geometric
+        else:
+            values = pointer_f32(tables.normals[p])
+            a, b, c = 3 * t, 3 * t + 1, 3 * t + 2
+            if not tables.normals_per_corner[p]:
+                a, b, c = np.int64(corners[a]), np.int64(corners[b]), np.int64(corners[c])
+            x = w * values[3 * a] + u * values[3 * b] + v * values[3 * c]
+            y = w * values[3 * a + 1] + u * values[3 * b + 1] + v * values[3 * c + 1]
+            z = w * values[3 * a + 2] + u * values[3 * b + 2] + v * values[3 * c + 2]
+            _normalized(
+                q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
+                q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
+                q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
+                geometric,
+                out.smooth_normal[n],
+            )
+        if len(outgoing):
+            d = outgoing[n]
+            out.backfacing[n] = geometric[0] * d[0] + geometric[1] * d[1] + geometric[2] * d[2] > 0.0
+        else:
+            out.backfacing[n] = False
+        slot = np.int64(0)
+        if tables.material_index[p] != 0:
+            slot = np.int64(pointer_i32(tables.material_index[p])[t])
+            slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
+        out.material[n] = tables.slot_material[tables.first_slot[p] + slot]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def local_points(tables, samples, local, generated):
+    """Positions in the part's space and generated coordinates (0..1 over the mesh's box), (n, 3) or (0, 3) float32."""
+    for n in range(len(samples.part)):
+        p = samples.part[n]
+        t = np.int64(samples.triangle[n]) - tables.first_triangle[p]
+        corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+        u, v = samples.u[n], samples.v[n]
+        a, b, c = (
+            3 * np.int64(corners[3 * t]),
+            3 * np.int64(corners[3 * t + 1]),
+            3 * np.int64(corners[3 * t + 2]),
+        )
+        for k in range(3):
+            x = (
+                (1.0 - u - v) * positions[a + k]
+                + u * positions[b + k]
+                + v * positions[c + k]
+                + tables.center[p, k]
+            )
+            if len(local):
+                local[n, k] = x
+            if len(generated):
+                lower, upper = tables.generated[p, 0, k], tables.generated[p, 1, k]
+                generated[n, k] = (x - lower) / (upper - lower) if upper != lower else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def world_edges(tables, samples, out):
+    """World edges from corner 0 of each sample's triangle, out (n, 2, 3) float64."""
+    for n in range(len(samples.part)):
+        p, m = samples.part[n], samples.world_from_part[n]
+        t = np.int64(samples.triangle[n]) - tables.first_triangle[p]
+        corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+        a = 3 * np.int64(corners[3 * t])
+        for k in range(2):
+            b = 3 * np.int64(corners[3 * t + 1 + k])
+            x = np.float64(positions[b]) - positions[a]
+            y = np.float64(positions[b + 1]) - positions[a + 1]
+            z = np.float64(positions[b + 2]) - positions[a + 2]
+            for r in range(3):
+                out[n, k, r] = m[r, 0] * x + m[r, 1] * y + m[r, 2] * z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def tangents_to_world(samples, tangents):
+    """Turn (n, 4) tangents in part space into unit world tangents, in place; mirroring flips the sign."""
+    q = np.empty((3, 3))
+    zero = np.zeros(3)
+    for n in range(len(samples.part)):
+        m = samples.world_from_part[n]
+        cofactors(m, q)
+        x, y, z = np.float64(tangents[n, 0]), np.float64(tangents[n, 1]), np.float64(tangents[n, 2])
+        _normalized(
+            q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
+            q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
+            q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
+            zero,
+            tangents[n],
+        )
+        sign = np.float32(-1) if tangents[n, 3] < np.float32(0) else np.float32(1)
+        minor = (
+            m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
+        )  # cofactors() negates all of q for a mirroring transform
+        mirrored = minor * q[0, 0] < 0.0
+        if minor == 0.0:
+            minor = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
+            mirrored = minor * q[0, 1] < 0.0
+            if minor == 0.0:
+                mirrored = (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]) * q[0, 2] < 0.0
+        tangents[n, 3] = -sign if mirrored else sign
+
+
+def frames(
+    geometry: Geometry, rays: Rays, hits: Hits, out: Frames, start: int = 0, stop: int | None = None
+) -> None:
+    """Fill out[start:stop] for hits[start:stop]. Releases the GIL."""
+    chosen = slice(start, len(hits.triangle) if stop is None else stop)
+    frames_of(
+        geometry.tables, samples_of(hits, chosen), rays.direction[chosen], Frames(*(c[chosen] for c in out))
+    )
+
+
+def samples_of(hits: Hits, chosen) -> Samples:
+    """The points that hits[chosen] stand for; chosen is a slice or indices."""
+    with np.errstate(invalid="ignore"):  # weights of misses are undefined
+        u, v = hits.u[chosen].astype(np.float64), hits.v[chosen].astype(np.float64)
+    return Samples(hits.part[chosen], hits.triangle[chosen], u, v, hits.world_from_part[chosen])
