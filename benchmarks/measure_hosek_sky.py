@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from pointmr_engine.shading.sky_models import hosek_factors
+from pointmr_engine.shading.sky_formulas import hosek_factors
 from pointmr_engine.shading.spectra import RGB_FROM_XYZ
 
 # 2.2 and 0.3 are Blender's defaults

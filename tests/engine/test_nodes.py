@@ -258,7 +258,7 @@ def test_displacement_bends_every_normal():
     assert leaf.coat_normal is leaf.normal or np.array_equal(leaf.coat_normal, leaf.normal)
 
 
-def test_emission_helper_and_backgrounds():
+def test_plain_emission_and_backgrounds():
     assert compile_graph(emission(strength=3.0).graph).constant_emission == (3, 3, 3)
     directions = np.eye(3)
     uniform = compile_graph(uniform_world((0.1, 0.2, 0.3), 2.0).graph, "background")

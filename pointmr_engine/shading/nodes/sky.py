@@ -7,15 +7,14 @@ from functools import lru_cache
 import numpy as np
 
 from pointmr_engine.shading.nodes.registry import COLOR, VECTOR, Call, From, node
+from pointmr_engine.shading.sky_formulas import hosek, preetham
 from pointmr_engine.shading.sky_models import (
     HEIGHT,
     WIDTH,
     Atmosphere,
     horizon_dip,
-    hosek,
     multiple_scattering,
     multiple_scattering_sun,
-    preetham,
     single_scattering,
     single_scattering_sun,
 )
