@@ -28,7 +28,7 @@ from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.points import RAY_SHADOW
 
-BATCH = 16384  # paths that move together: enough to make numpy's overhead small, few enough for the cache
+BATCH = 32768  # paths that move together: enough to make numpy's overhead small, few enough for the cache
 
 
 @dataclass(eq=False)

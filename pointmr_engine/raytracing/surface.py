@@ -23,6 +23,7 @@ from pointmr_engine.raytracing.frames import (
 from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.scene.mesh import GENERATED
 from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.values import cross
 
 __all__ = ["Frames", "RayState", "allocate_frames", "allocate_ray_state", "frames", "gather", "points_at"]
 
@@ -271,7 +272,7 @@ def _uv_footprint(geometry, name, samples, own, direction, width) -> np.ndarray:
     s, t = (uv[1] - uv[0]).astype(np.float64), (uv[2] - uv[0]).astype(np.float64)
     edges = np.empty((n, 2, 3))
     world_edges(geometry.tables, samples, edges)
-    world = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    world = np.sqrt((cross(edges[:, 0], edges[:, 1]).astype(np.float64) ** 2).sum(1))
     area = np.abs(s[:, 0] * t[:, 1] - s[:, 1] * t[:, 0])
     cosine = np.maximum(np.abs((own.geometric_normal * direction).sum(1)), GRAZING)
     with np.errstate(all="ignore"):

@@ -79,7 +79,19 @@ def transform_transposed(m: np.ndarray, d: np.ndarray) -> np.ndarray:
 def inverse_linear(m: np.ndarray) -> np.ndarray:
     """Inverse of the linear parts (..., 3, 3) by cofactors; zero for singular ones."""
     a = m[..., :3]
-    rows = [np.cross(a[..., (i + 1) % 3], a[..., (i + 2) % 3]) for i in range(3)]
+    x, y, z = a[..., 0, :], a[..., 1, :], a[..., 2, :]
+    rows = []
+    for i, j in ((1, 2), (2, 0), (0, 1)):  # the products of columns i and j; np.cross is many times slower
+        rows.append(
+            np.stack(
+                [
+                    y[..., i] * z[..., j] - z[..., i] * y[..., j],
+                    z[..., i] * x[..., j] - x[..., i] * z[..., j],
+                    x[..., i] * y[..., j] - y[..., i] * x[..., j],
+                ],
+                -1,
+            )
+        )
     det = np.einsum("...i,...i->...", a[..., 0], rows[0])
     scale = np.where(det == 0, 0.0, 1.0 / np.where(det == 0, 1.0, det))
     return np.stack(rows, -2) * scale[..., None, None]
