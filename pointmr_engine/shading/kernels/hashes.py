@@ -9,8 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+# signatures are given where callers would otherwise have one compiled for every literal that they pass
 
-@njit(cache=True, nogil=True, error_model="numpy")
+
+@njit("uint32(uint32, uint32)", cache=True, nogil=True, error_model="numpy")
 def rotate_left(x, k):
     """32-bit rotation."""
     x = np.uint32(x)
@@ -47,7 +49,7 @@ def finish_words(a, b, c):
     return np.uint32(np.uint32(c ^ b) - rotate_left(b, 24))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit("uint32(int64, int64, int64, int64, int64)", cache=True, nogil=True, error_model="numpy")
 def hash_words(count, x, y, z, w):
     """lookup3 of `count` (1 to 4) words."""
     start = np.uint32(0xDEADBEEF + (count << 2) + 13)

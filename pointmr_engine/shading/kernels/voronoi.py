@@ -48,7 +48,7 @@ def cell_color(dimensions, x, y, z, w):
     if dimensions == 4:
         r, g, b, _ = pcg4d(x, y, z, w)
     else:
-        r, g, b = pcg3d(x, y, z if dimensions == 3 else 0)
+        r, g, b = pcg3d(x, y, z * (dimensions == 3))
     return np.float32(r * _UNIT), np.float32(g * _UNIT), np.float32(b * _UNIT)
 
 
@@ -139,9 +139,9 @@ def smooth_nearest(dimensions, metric, exponent, smoothness, randomness, cell, l
 def edge_distance(dimensions, randomness, cell, local, best):
     """Distance to the nearest border between cells (Quilez); best (2, 9): scratch."""
     if dimensions == 1:
-        mid = feature_point(1, cell[0], 0, 0, 0)[0] * randomness
-        left = -1.0 + feature_point(1, cell[0] - 1, 0, 0, 0)[0] * randomness
-        right = 1.0 + feature_point(1, cell[0] + 1, 0, 0, 0)[0] * randomness
+        mid = feature_point(dimensions, cell[0], cell[1], cell[2], cell[3])[0] * randomness
+        left = -1.0 + feature_point(dimensions, cell[0] - 1, cell[1], cell[2], cell[3])[0] * randomness
+        right = 1.0 + feature_point(dimensions, cell[0] + 1, cell[1], cell[2], cell[3])[0] * randomness
         return min(abs((mid + left) / 2 - local[0]), abs((mid + right) / 2 - local[0]))
     nearest(dimensions, 1, False, EUCLIDEAN, 1.0, randomness, cell, local, best)
     px, py = best[0, 1] - local[0], best[0, 2] - local[1]
@@ -178,31 +178,6 @@ def sphere_radius(dimensions, randomness, cell, local, best):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def octave_of(feature, dimensions, metric, row, p, scale, cell, local, best, octave):
-    """One octave of F1, F2 or smooth F1 at p * scale; octave (8,): distance, colour (3), position (4)."""
-    split_cell(dimensions, p, scale, cell, local)
-    if feature == SMOOTH_F1 and row[SMOOTHNESS] != 0.0:
-        smooth_nearest(
-            dimensions, metric, row[EXPONENT], row[SMOOTHNESS], row[RANDOMNESS], cell, local, octave
-        )
-    else:
-        nearest(dimensions, 1, feature == F2, metric, row[EXPONENT], row[RANDOMNESS], cell, local, best)
-        b = best[1 if feature == F2 else 0]
-        octave[0] = b[0]
-        octave[1], octave[2], octave[3] = cell_color(
-            dimensions,
-            cell[0] + np.int64(b[5]),
-            cell[1] + np.int64(b[6]),
-            cell[2] + np.int64(b[7]),
-            cell[3] + np.int64(b[8]),
-        )
-        for k in range(4):
-            octave[4 + k] = b[1 + k]
-    for k in range(dimensions):
-        octave[4 + k] += cell[k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def split_cell(dimensions, p, scale, cell, local):
     """The cell (integers) and the place in it of p * scale."""
     for k in range(4):
@@ -212,88 +187,124 @@ def split_cell(dimensions, p, scale, cell, local):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def most_distant(feature, dimensions, metric, row):
-    """What normalised distances are divided by."""
-    half = 0.5 + 0.5 * row[RANDOMNESS]
-    if feature == DISTANCE_TO_EDGE:
-        return half
-    y, z, w = (
-        half if dimensions > 1 else 0.0,
-        half if dimensions > 2 else 0.0,
-        half if dimensions > 3 else 0.0,
-    )
-    far = half if dimensions == 1 else distance(metric, row[EXPONENT], half, y, z, w)
-    return 2.0 * far if feature == F2 else far
+def add_octave(k, detail, amplitude, scale, octave, total):
+    """Add octave number k of a fractal to the total; what of its amplitude counted."""
+    share = 1.0 if k <= detail else detail - np.floor(detail)
+    for c in range(4):
+        total[c] += share * amplitude * octave[c]
+    for c in range(4, 8):
+        total[c] += share * amplitude * (octave[c] / scale - total[c])
+    return share * amplitude
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def voronoi_texture(points, parameters, dimensions, feature, metric, normalize, out):
-    """out (n, 8) float32: distance (or radius), colour (3), position (4: x, y, z, w, in points' units over scale).
+def write_texture(i, total, most, far, scale, normalize, out):
+    """Row i of out: distance, colour and position of a finished fractal."""
+    if normalize:
+        total[0] /= most * far
+        for c in range(1, 4):
+            total[c] /= most
+    for c in range(4):
+        out[i, c] = total[c]
+        out[i, 4 + c] = total[4 + c] / scale if scale != 0.0 else 0.0
 
-    points (n, 4) float32, already scaled, the first `dimensions` used; parameters (n or 1, 7) float32.
-    """
-    cell = np.empty(4, np.int64)
-    local = np.empty(4)
-    best = np.empty((2, 9))
-    octave = np.empty(8)
-    total = np.empty(8)
+
+# One kernel per group of features, so that a scene compiles only what it shows. All have the same arguments:
+# points (n, 4) float32, already scaled, the first `dimensions` used; parameters (n or 1, 7) float32; far (n or 1,)
+# float32: the distance that normalises; out (n, 8) float32: distance or radius, colour (3), position (4: x, y, z, w).
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_texture(points, parameters, far, dimensions, feature, metric, normalize, out):
+    """F1 and F2."""
+    cell, local, best = np.empty(4, np.int64), np.empty(4), np.empty((2, 9))
+    octave, total = np.empty(8), np.empty(8)
     for i in range(points.shape[0]):
         row = parameters[i if parameters.shape[0] > 1 else 0]
-        p = points[i]
-        detail, roughness = row[DETAIL], row[ROUGHNESS]
-        far = most_distant(feature, dimensions, metric, row)
+        single = row[DETAIL] == 0.0 or row[ROUGHNESS] == 0.0
+        detail = 0.0 if single else row[DETAIL]
+        amplitude, most, scale = 1.0, 0.0, 1.0
         total[:] = 0.0
-        if feature == N_SPHERE_RADIUS:
-            split_cell(dimensions, p, 1.0, cell, local)
-            total[0] = sphere_radius(dimensions, row[RANDOMNESS], cell, local, best)
-        elif feature == DISTANCE_TO_EDGE:
-            total[0] = fractal_edge(dimensions, row, p, far, normalize, cell, local, best)
-        else:
-            amplitude, most, scale = 1.0, 0.0, 1.0
-            for k in range(int(np.ceil(detail)) + 1):
-                octave_of(feature, dimensions, metric, row, p, scale, cell, local, best, octave)
-                if detail == 0.0 or roughness == 0.0:
-                    most = 1.0
-                    total[:] = octave
-                    break
-                share = 1.0 if k <= detail else detail - np.floor(detail)
-                most += share * amplitude
-                for c in range(4):
-                    total[c] += share * amplitude * octave[c]
-                for c in range(4, 8):
-                    total[c] += share * amplitude * (octave[c] / scale - total[c])
-                if k <= detail:
-                    scale *= row[LACUNARITY]
-                    amplitude *= roughness
-            if normalize:
-                total[0] /= most * far
-                for c in range(1, 4):
-                    total[c] /= most
-            for c in range(4, 8):
-                total[c] = total[c] / row[SCALE] if row[SCALE] != 0.0 else 0.0
-        for c in range(8):
-            out[i, c] = total[c]
+        for k in range(int(np.ceil(detail)) + 1):
+            split_cell(dimensions, points[i], scale, cell, local)
+            nearest(dimensions, 1, feature == F2, metric, row[EXPONENT], row[RANDOMNESS], cell, local, best)
+            b = best[1 if feature == F2 else 0]
+            octave[0] = b[0]
+            octave[1], octave[2], octave[3] = cell_color(
+                dimensions,
+                cell[0] + np.int64(b[5]),
+                cell[1] + np.int64(b[6]),
+                cell[2] + np.int64(b[7]),
+                cell[3] + np.int64(b[8]),
+            )
+            for c in range(4):
+                octave[4 + c] = b[1 + c] + cell[c] if c < dimensions else 0.0
+            most += add_octave(k, detail, amplitude, scale, octave, total)
+            scale *= row[LACUNARITY]
+            amplitude *= row[ROUGHNESS]
+        write_texture(i, total, most, far[i if far.shape[0] > 1 else 0], row[SCALE], normalize, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fractal_edge(dimensions, row, p, far, normalize, cell, local, best):
-    """Distance to edge over octaves, each finer one pulling the result nearer."""
-    detail, roughness = row[DETAIL], row[ROUGHNESS]
-    amplitude, most, scale, result = 1.0, far, 1.0, 8.0
-    for k in range(int(np.ceil(detail)) + 1):
-        split_cell(dimensions, p, scale, cell, local)
-        d = edge_distance(dimensions, row[RANDOMNESS], cell, local, best)
-        if detail == 0.0 or roughness == 0.0:
-            result = d
-            break
-        nearer = result + amplitude * (min(result, d / scale) - result)
-        farther = most + amplitude * (far / scale - most)
-        if k <= detail:
-            most, result = farther, nearer
+def smooth_texture(points, parameters, far, dimensions, feature, metric, normalize, out):
+    """Smooth F1, its smoothness above 0."""
+    cell, local = np.empty(4, np.int64), np.empty(4)
+    octave, total = np.empty(8), np.empty(8)
+    for i in range(points.shape[0]):
+        row = parameters[i if parameters.shape[0] > 1 else 0]
+        single = row[DETAIL] == 0.0 or row[ROUGHNESS] == 0.0
+        detail = 0.0 if single else row[DETAIL]
+        amplitude, most, scale = 1.0, 0.0, 1.0
+        total[:] = 0.0
+        smoothness = max(row[SMOOTHNESS], np.float32(1e-6))
+        for k in range(int(np.ceil(detail)) + 1):
+            split_cell(dimensions, points[i], scale, cell, local)
+            smooth_nearest(
+                dimensions, metric, row[EXPONENT], smoothness, row[RANDOMNESS], cell, local, octave
+            )
+            for c in range(4):
+                octave[4 + c] = octave[4 + c] + cell[c] if c < dimensions else 0.0
+            most += add_octave(k, detail, amplitude, scale, octave, total)
             scale *= row[LACUNARITY]
-            amplitude *= roughness
-        else:
-            rest = detail - np.floor(detail)
-            most += rest * (farther - most)
-            result += rest * (min(result, nearer) - result)
-    return result / most if normalize else result
+            amplitude *= row[ROUGHNESS]
+        write_texture(i, total, most, far[i if far.shape[0] > 1 else 0], row[SCALE], normalize, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def edge_texture(points, parameters, far, dimensions, feature, metric, normalize, out):
+    """Distance to edge: over octaves, each finer one pulling the result nearer."""
+    cell, local, best = np.empty(4, np.int64), np.empty(4), np.empty((2, 9))
+    for i in range(points.shape[0]):
+        row = parameters[i if parameters.shape[0] > 1 else 0]
+        most = float(far[i if far.shape[0] > 1 else 0])
+        detail, roughness, longest = row[DETAIL], row[ROUGHNESS], most
+        amplitude, scale, result = 1.0, 1.0, 8.0
+        for k in range(int(np.ceil(detail)) + 1):
+            split_cell(dimensions, points[i], scale, cell, local)
+            d = edge_distance(dimensions, row[RANDOMNESS], cell, local, best)
+            if detail == 0.0 or roughness == 0.0:
+                result = d
+                break
+            nearer = result + amplitude * (min(result, d / scale) - result)
+            farther = most + amplitude * (longest / scale - most)
+            if k <= detail:
+                most, result = farther, nearer
+                scale *= row[LACUNARITY]
+                amplitude *= roughness
+            else:
+                rest = detail - np.floor(detail)
+                most += rest * (farther - most)
+                result += rest * (min(result, nearer) - result)
+        out[i, :] = 0.0
+        out[i, 0] = result / most if normalize else result
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def radius_texture(points, parameters, far, dimensions, feature, metric, normalize, out):
+    """Radius of the spheres around the feature points that touch one another."""
+    cell, local, best = np.empty(4, np.int64), np.empty(4), np.empty((2, 9))
+    for i in range(points.shape[0]):
+        row = parameters[i if parameters.shape[0] > 1 else 0]
+        split_cell(dimensions, points[i], 1.0, cell, local)
+        out[i, :] = 0.0
+        out[i, 0] = sphere_radius(dimensions, row[RANDOMNESS], cell, local, best)

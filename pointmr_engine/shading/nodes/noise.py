@@ -124,6 +124,17 @@ def _noise(c: Call) -> dict[str, np.ndarray]:
     return {"fac": out[:, 0], "color": out}
 
 
+def _most_distant(parameters: np.ndarray, dimensions: int, feature: int, metric: int) -> np.ndarray:
+    """(n or 1,) float32: how far a point can be from its feature, which normalised distances are divided by."""
+    half = 0.5 + 0.5 * parameters[:, 5]
+    if FEATURES[feature] == "DISTANCE_TO_EDGE":
+        return half
+    d = 1.0 if METRICS[metric] == "CHEBYCHEV" else float(dimensions)
+    exponents = {"EUCLIDEAN": 0.5, "MINKOWSKI": 1 / np.where(parameters[:, 4] != 0, parameters[:, 4], 1)}
+    far = half * d ** exponents.get(METRICS[metric], 1.0)
+    return (2 * far if FEATURES[feature] == "F2" else far).astype(np.float32)
+
+
 @node(
     "voronoi_texture",
     {
@@ -142,7 +153,7 @@ def _noise(c: Call) -> dict[str, np.ndarray]:
 )
 def _voronoi(c: Call) -> dict[str, np.ndarray]:
     """params: dimensions "1D" to "4D", feature (FEATURES), metric (METRICS), normalize."""
-    from pointmr_engine.shading.kernels.voronoi import voronoi_texture
+    from pointmr_engine.shading.kernels import voronoi
 
     c = _complete(c)
     points = coordinates(c, c["scale"])
@@ -160,8 +171,18 @@ def _voronoi(c: Call) -> dict[str, np.ndarray]:
     d = dimensions_of(c.params)
     feature = FEATURES.index(c.params.get("feature", "F1"))
     metric = METRICS.index(c.params.get("metric", "EUCLIDEAN"))
+    if feature == voronoi.SMOOTH_F1 and not parameters[:, voronoi.SMOOTHNESS].any():
+        feature = voronoi.F1
+    texture = (
+        voronoi.nearest_texture,
+        voronoi.nearest_texture,
+        voronoi.smooth_texture,
+        voronoi.edge_texture,
+        voronoi.radius_texture,
+    )[feature]
+    far = _most_distant(parameters, d, feature, metric)
     out = np.empty((len(points), 8), np.float32)
-    voronoi_texture(points, parameters, d, feature, metric, bool(c.params.get("normalize", False)), out)
+    texture(points, parameters, far, d, feature, metric, bool(c.params.get("normalize", False)), out)
     return {
         "distance": out[:, 0],
         "color": out[:, 1:4],
