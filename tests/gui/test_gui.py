@@ -60,7 +60,8 @@ def test_rendered_viewport(shared):
     session = run_session("viewport", shared("viewport"), timeout=400)
     v = session.values
     assert session.alarms() == []
-    assert np.abs(np.subtract(v["rendered_middle"], v["solid_middle"])).max() < 15, "where solid mode has it"
+    assert np.abs(np.subtract(v["rendered_middle"], v["solid_middle"])).max() < 4, "where solid mode has it"
+    assert abs(v["red"] / v["solid_red"] - 1) < 0.1
     assert v["changed_by_orbit"] > 0.2
     assert v["red_when_larger"] > 2 * v["red"]
     assert v["red_through_camera"] > 0.01 and v["red_orthographic"] > 0.01

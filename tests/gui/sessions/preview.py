@@ -30,7 +30,7 @@ def session():
     # The preview panel is closed at first, above the surface panel: open it by its header.
     steps.values["panel"] = hasattr(bpy.types, "MATERIAL_PT_preview")
     steps.click(region.x + region.width * 0.3, region.y + region.height - 175)
-    yield lambda: bool(previews)
+    yield lambda: any(width > 100 for _, width, *_ in previews)
     yield 2.0
     steps.screenshot("preview")
     steps.values["previews"] = previews

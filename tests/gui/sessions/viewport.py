@@ -36,8 +36,17 @@ def session():
     region, space = steps.region_of(area), area.spaces.active
     space.overlay.show_overlays = False
     space.show_gizmo = False
-    yield 0.5
-    solid = middle_of_red_in_solid(region)
+    space.show_region_toolbar = space.show_region_header = space.show_region_tool_header = False
+    # Solid mode in one red: where Blender itself draws the cube.
+    shading = space.shading
+    shading.light, shading.color_type, shading.single_color = "FLAT", "SINGLE", (0.8, 0.05, 0.02)
+    bpy.ops.object.select_all(action="DESELECT")
+    yield 1.5
+    steps.screenshot("solid")
+    solid = middle_of_red(steps.region_pixels(region))
+    steps.values["solid_red"] = red(steps.region_pixels(region))
+    shading.color_type = "MATERIAL"
+    shading.single_color = (0.5, 0.5, 0.5)
     space.shading.type = "RENDERED"
     start = time.monotonic()
     yield lambda: red(steps.region_pixels(region)) > 0.005
@@ -93,15 +102,6 @@ def session():
     steps.values["rendered_beside_viewport"] = True
     space.shading.type = "SOLID"
     yield 0.5
-
-
-def middle_of_red_in_solid(region):
-    """Where the cube is in solid mode, painted red, to compare the engine's view with Blender's own."""
-    shading = steps.area_of("VIEW_3D").spaces.active.shading
-    shading.light, shading.color_type = "FLAT", "SINGLE"
-    shading.single_color = (0.8, 0.05, 0.02)
-    bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=2)
-    return middle_of_red(steps.region_pixels(region))
 
 
 steps.run(session)
