@@ -80,7 +80,7 @@ def connect(
     for i in range(m):
         if lights.kind[i] == NONE or not lights.pdf[i] > 0.0:
             continue
-        k = rows[i]
+        k = np.int64(rows[i])  # as everywhere: another type would compile the lobes once more
         light = lights.radiance[i]
         if light[0] == 0 and light[1] == 0 and light[2] == 0:
             continue

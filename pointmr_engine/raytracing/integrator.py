@@ -124,8 +124,11 @@ class Workspace:
         self._emission(tile, now, rays, n, alive)
         if bounce <= stage.limits.transparent and stage.needs.surface_passes:
             self._surface_passes(tile, now, n, alive)
-        paths.finish_final(now, self.lobes, alive, n)
-        paths.roulette(now, self.samples, stage.tables, bounce, alive, n)
+        paths.finish_final(now.flags, self.lobes.count, self.lobes.flags, alive, n)
+        paths.roulette(
+            now.throughput, state.depth, now.flags, now.slot, self.samples.seed, self.samples.number,
+            stage.tables, bounce, alive, n,
+        )  # fmt: skip
         if stage.needs.light_samples:
             self._direct_light(now, n, alive, bounce)
         paths.scatter(now, self.samples, self.lobes, stage.tables, bounce, alive, n, self.scattered)

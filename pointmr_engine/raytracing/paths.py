@@ -234,34 +234,32 @@ def average_normals(lobes, rows, out):
 
 
 @_jit
-def finish_final(paths: Paths, lobes, alive, n):
+def finish_final(flags, lobe_count, lobe_flags, alive, n):
     """Paths that may not scatter any more keep only what lies straight behind."""
     for k in range(n):
         if alive[k]:
-            if paths.flags[k] & LAST:
+            if flags[k] & LAST:
                 alive[k] = False
-            elif paths.flags[k] & FINAL:
-                lobes.count[k] = 0
-                lobes.flags[k] = 0
+            elif flags[k] & FINAL:
+                lobe_count[k] = 0
+                lobe_flags[k] = 0
 
 
 @_jit
-def roulette(paths: Paths, samples: Samples, tables, bounce, alive, n):
+def roulette(throughput, depth, flags, slot, seed, number, tables, bounce, alive, n):
     """Russian roulette by the throughput, once a path has scattered twice or passed a surface."""
     for k in range(n):
-        if not alive[k] or (paths.state.depth[k] <= 1 and not paths.flags[k] & THROUGH):
+        if not alive[k] or (depth[k] <= 1 and not flags[k] & THROUGH):
             continue
-        t = paths.throughput[k]
-        chance = math.sqrt(max(t[0], t[1], t[2]))
+        chance = math.sqrt(max(throughput[k, 0], throughput[k, 1], throughput[k, 2]))
         if chance >= 1.0:
             continue
-        slot = paths.slot[k]
-        u = sample_1d(tables, samples.seed[slot], bounce, samples.number[slot])
+        u = sample_1d(tables, seed[slot[k]], bounce, number[slot[k]])
         if u >= chance:
             alive[k] = False
         else:
             for c in range(3):
-                t[c] /= chance
+                throughput[k, c] /= chance
 
 
 @_jit

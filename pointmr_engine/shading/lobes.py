@@ -292,7 +292,7 @@ def evaluate(lobes, i, wi, wo):
     chance of choosing each lobe (transparency included). Translucent counts as diffuse. Singular lobes contribute
     nothing.
     """
-    return _sum(lobes, i, wi, wo, -1)
+    return _sum(lobes, i, wi, wo, np.int64(-1))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
