@@ -64,9 +64,8 @@ def record_our_stats() -> dict:
 
 def our_phases(stats: dict) -> dict:
     """The seconds of the rendering phase, from the frame's statistics."""
-    phases = stats.get("phases") or stats.get("times") or stats
-    render = phases.get("render")
-    return {"render": float(render)} if isinstance(render, int | float) else {}
+    render = stats.get("times", {}).get("rendering")
+    return {} if render is None else {"render": float(render)}
 
 
 def register_nothing() -> None:

@@ -236,3 +236,37 @@ def bsdf_sheen():
         return node(tree, "ShaderNodeAddShader", {0: a, 1: b}).outputs[0]
 
     monkey(material("Velvet", surface), (0, 0, 1.05), 1.5)
+
+
+@feature()
+def bsdf_velvet():
+    """Sheen shader of the older kind (Ashikhmin velvet), alone and mixed with glossy, on spheres and on the floor."""
+    _stage()
+
+    def velvet(tree):
+        inputs = {"Color": (0.7, 0.5, 0.5), "Roughness": 0.4}
+        return node(tree, "ShaderNodeBsdfSheen", inputs, distribution="ASHIKHMIN").outputs[0]
+
+    def mixed(tree):
+        inputs = {"Color": (0.2, 0.2, 0.25), "Roughness": 0.32}
+        glossy = node(tree, "ShaderNodeBsdfAnisotropic", inputs, distribution="GGX").outputs[0]
+        return node(tree, "ShaderNodeMixShader", {0: 0.5, 1: glossy, 2: velvet(tree)}).outputs[0]
+
+    sphere(material("Velvet", velvet), (-1.2, 0, 0.95), 0.95)
+    sphere(material("Mixed", mixed), (1.2, 0, 0.95), 0.95)
+    plane(material("Floor", mixed), (0, 0, 0.01), 20.0)
+
+
+@feature()
+def bsdf_glossy_grazing():
+    """A rough glossy floor alone, seen at grazing angles under a world light: GGX, then Beckmann spheres on it."""
+    studio(fill=0.6, power=60, key=3.0)
+    floor = _single(
+        "ShaderNodeBsdfAnisotropic", {"Color": (0.4, 0.4, 0.5), "Roughness": 0.32}, distribution="GGX"
+    )
+    plane(floor, (0, 0, 0.01), 40.0)
+    beckmann = {"Color": (0.8, 0.5, 0.4), "Roughness": 0.32}
+    row(
+        lambda c: _single("ShaderNodeBsdfAnisotropic", beckmann | {"Color": c}, distribution="BECKMANN"),
+        (RED, CREAM),
+    )

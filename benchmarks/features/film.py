@@ -212,10 +212,20 @@ def film_material_slots():
 
 @feature()
 def film_shadow_terminator():
-    """A coarse smooth sphere in grazing light: where light ends on it."""
+    """Coarse smooth spheres in grazing light: where it ends, with the usual shadow terminator offset and without."""
     cove()
     camera()
     sphere(matte(CREAM), (-1.2, 0, 1.0), 1.0, segments=16)
     item = sphere(matte(CREAM), (1.2, 0, 1.0), 1.0, segments=16)
-    item.cycles.shadow_terminator_geometry_offset = 0.0
+    item.shadow_terminator_geometry_offset = 0.0
     lamp("SUN", 3.0, (-5, -1.0, 1.5), (0, 0, 0.6), angle=0.0)
+
+
+@feature()
+def film_shadow_catcher():
+    """A shadow catcher: on an opaque film it shows the world behind it, with the shadow that falls on it."""
+    world((0.3, 0.35, 0.45))
+    camera()
+    softbox(300)
+    plane(matte(SAND), (0, 0, 0), 14.0).is_shadow_catcher = True
+    monkey(matte(RED), (0, 0, 0.9), 1.1)

@@ -133,6 +133,58 @@ def texture_alpha():
 
 
 @feature()
+def texture_alpha_modes():
+    """Colour that hides under alpha 0, seen without its alpha: straight (alpha used and not), packed, ignored."""
+    studio(fill=0.3)
+    y, x = np.mgrid[0:32, 0:32] / 31.0
+    disk = np.clip(3 - 9 * np.hypot(x - 0.5, y - 0.5), 0, 1)
+    pixels = np.dstack([0.9 + 0 * x, x, 1 - y, disk])
+
+    def surface(mode, linked):
+        picture = image(f"{mode} {linked}", pixels)
+        picture.alpha_mode = mode
+
+        def color(tree):
+            texture = node(tree, "ShaderNodeTexImage", image=picture)
+            if not linked:
+                return texture.outputs[0]
+            none = node(
+                tree, "ShaderNodeMath", {0: texture.outputs[1], 1: 0.0}, operation="MULTIPLY"
+            ).outputs[0]
+            return node(
+                tree, "ShaderNodeVectorMath", {0: texture.outputs[0], 1: none}, operation="ADD"
+            ).outputs[0]
+
+        return _diffuse("Alpha", color)
+
+    kinds = (("STRAIGHT", True), ("STRAIGHT", False), ("CHANNEL_PACKED", True), ("NONE", True))
+    panels([surface(*kind) for kind in kinds])
+
+
+@feature()
+def texture_leaves():
+    """Leaves as artists make them: Principled with alpha plus transparent of the picture's colour, many in a row."""
+    studio(fill=0.3)
+    y, x = np.mgrid[0:32, 0:32] / 31.0
+    inside = (np.hypot((x - 0.5) * 2.2, y - 0.5) < 0.45).astype(float)
+    leaf = np.dstack(
+        [0.15 + 0.3 * y + 0.5 * (1 - inside), 0.5 + 0.4 * (1 - inside), 0.1 + 0.8 * (1 - inside), inside]
+    )
+    picture = image("Leaf", leaf)
+
+    def surface(tree):
+        texture = node(tree, "ShaderNodeTexImage", image=picture)
+        color, alpha = texture.outputs
+        through = node(tree, "ShaderNodeBsdfTransparent", {"Color": color}).outputs[0]
+        front = node(tree, "ShaderNodeBsdfPrincipled", {"Base Color": color, "Alpha": alpha}).outputs[0]
+        return node(tree, "ShaderNodeAddShader", {0: front, 1: through}).outputs[0]
+
+    paper = material("Leaf", surface)
+    for i in range(10):
+        plane(paper, (-1.8 + 0.4 * i, -0.8 + 0.25 * i, 1.1), 1.7, (1.4, 0.1 * i, 0.1))
+
+
+@feature()
 def texture_box_projection():
     """Image in box projection with blending, on object coordinates."""
     studio(fill=0.3)
