@@ -33,16 +33,16 @@ TABLE = 0.0  # height of the table top
 
 
 def plate_image(size: int = 512) -> np.ndarray:
-    """A blue pattern on white glaze, in polar UVs: u around, v from the centre to the rim."""
+    """A blue pattern on white glaze: u around a bowl, v from its foot over the rim to its middle."""
     u, v = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size)
     v = 1 - v
     petals = np.cos(2 * np.pi * 12 * u)
     bands = [
-        (np.abs(v - 0.93) < 0.012) | (np.abs(v - 0.70) < 0.010) | (np.abs(v - 0.665) < 0.004),
-        np.abs(v - (0.815 + 0.055 * petals)) < 0.012,
-        np.abs(v - (0.815 - 0.055 * petals)) < 0.012,
-        (np.abs(v - 0.815) < 0.03 * np.clip(np.cos(2 * np.pi * 24 * u), 0, 1)),
-        (v < 0.30) & (np.abs(v - 0.18 - 0.10 * np.abs(petals)) < 0.02),
+        (np.abs(v - 0.555) < 0.008) | (np.abs(v - 0.300) < 0.007) | (np.abs(v - 0.525) < 0.003),
+        np.abs(v - (0.415 + 0.075 * petals)) < 0.007,
+        np.abs(v - (0.415 - 0.075 * petals)) < 0.007,
+        np.abs(v - 0.415) < 0.045 * np.clip(np.cos(2 * np.pi * 24 * u), 0, 1),
+        np.abs(v - 0.800) < 0.02 + 0.02 * petals,
     ]
     ink = np.clip(sum(b.astype(float) for b in bands), 0, 1)
     rng = np.random.default_rng(4)
@@ -500,7 +500,7 @@ def half_lemon(peel, at):
     flesh = material("Lemon flesh", flesh_build)
     cut = [(r, z) for r, z in LEMON if z <= 0.032]
     profile = [*cut, (0.0275, 0.038), (0.0275, 0.038)]
-    rotation = (1.12, 0.10, 0.35)
+    rotation = (1.0, 0.10, -0.55)
     ob = add("Half lemon", lathe("Half lemon", profile, [peel], 40), location=at, rotation=rotation)
     face = lathe("Lemon face", [(0.0275, 0.038), (0.0275, 0.038), (0.022, 0.0378), (0, 0.0378)], [flesh], 40)
     add("Lemon face", face, location=at, rotation=rotation)
