@@ -52,14 +52,14 @@ class Cache:
         self._parts: tuple = ()
         self._compiled: Compiled | None = None
 
-    def find(self, scene: Scene) -> Compiled | None:
+    def find(self, scene: Scene, filtered: bool) -> Compiled | None:
         """What was kept of this scene, or None."""
-        parts = _parts(scene)
+        parts = (filtered, *_parts(scene))
         same = len(parts) == len(self._parts) and all(a is b for a, b in zip(parts, self._parts, strict=True))
         return self._compiled if same else None
 
-    def keep(self, scene: Scene, compiled: Compiled) -> None:
-        self._parts, self._compiled = _parts(scene), compiled
+    def keep(self, scene: Scene, filtered: bool, compiled: Compiled) -> None:
+        self._parts, self._compiled = (filtered, *_parts(scene)), compiled
 
 
 def _parts(scene: Scene) -> tuple:
@@ -91,11 +91,12 @@ def render(
     clock = _Clock(progress)
     if settings.method == "conventional":
         settings = replace(settings, samples=1)
-    compiled = cache.find(scene) if cache is not None and scene.camera is not None else None
+    filtered = settings.method == "conventional"  # else the pixel's many rays do it
+    compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
     if compiled is None:
-        compiled = _compile(scene, clock)
+        compiled = _compile(scene, filtered, clock)
         if cache is not None:
-            cache.keep(scene, compiled)
+            cache.keep(scene, filtered, compiled)
     stage = _prepare(scene, compiled, settings, clock)
     clock.phase("rendering")
     frame, counters = _render_tiles(stage, settings, clock)
@@ -136,7 +137,7 @@ class _Clock:
             raise Cancelled("the render was cancelled")
 
 
-def _compile(scene: Scene, clock: _Clock) -> Compiled:
+def _compile(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
     """Compile what neither camera nor settings change."""
     from pointmr_engine.scene.material import Material
     from pointmr_engine.shading.program import compile_graph
@@ -153,7 +154,7 @@ def _compile(scene: Scene, clock: _Clock) -> Compiled:
     plain = Material("no material")
     programs = []
     for material in geometry.materials:
-        program = compile_graph((material or plain).graph)
+        program = compile_graph((material or plain).graph, filtered=filtered)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
     clock.phase("building hierarchies")
@@ -177,7 +178,6 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
     geometry, programs, acceleration, lights, _ = compiled
     camera = compile_camera(scene.camera, settings)
     needs = decide_needs(programs, lights, settings, lens=bool(camera.lens[0] > 0.0))
-    share = 1.0 / np.sqrt(settings.samples)
     limits = Limits(
         settings.max_bounces,
         settings.diffuse_bounces,
@@ -186,7 +186,7 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
         settings.transparent_max_bounces,
         float(settings.clamp_direct),
         float(settings.clamp_indirect),
-        float(share),
+        float(1.0 / np.sqrt(settings.samples)),
     )
     index = [0 if m is None else m.pass_index for m in geometry.materials]
     return Stage(
@@ -198,7 +198,6 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
         needs,
         limits,
         np.array(index, np.int32),
-        float(share),
     )
 
 

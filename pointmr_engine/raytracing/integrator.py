@@ -43,7 +43,6 @@ class Stage:
     needs: Needs
     limits: Limits
     materials_index: np.ndarray  # (materials,) int32 pass index
-    texture_share: float  # of a pixel's width, that one of its rays stands for
     tables: tuple = field(default_factory=sobol_tables)
 
 
@@ -55,8 +54,7 @@ class Workspace:
         self.stage = stage
         self.size = n
         self.samples = paths.allocate_samples(n)
-        share = stage.texture_share
-        self.queues = [paths.allocate_paths(n, camera_from_world, share) for _ in range(2)]
+        self.queues = [paths.allocate_paths(n, camera_from_world) for _ in range(2)]
         self.hits = allocate_hits(n)
         self.frames = allocate_frames(n)
         self.view = allocate_view(n)
@@ -76,7 +74,7 @@ class Workspace:
             self.waiting = np.zeros(n, np.int32)
         if stage.needs.transparent_shadows and stage.needs.light_samples:
             self.shadow_frames = allocate_frames(n)
-            self.shadow_state = allocate_ray_state(n, camera_from_world, share)
+            self.shadow_state = allocate_ray_state(n, camera_from_world)
             self.shadow_state.kind[:] = RAY_SHADOW
 
     def render_tile(self, tile: film.TileSums, first: int, count: int) -> None:

@@ -92,11 +92,11 @@ class Limits(NamedTuple):
     lobe_spread: float  # how much of a lobe's width one of its rays stands for
 
 
-def allocate_paths(n: int, camera_from_world: np.ndarray | None = None, texture_share: float = 1.0) -> Paths:
+def allocate_paths(n: int, camera_from_world: np.ndarray | None = None) -> Paths:
     """Room for n paths."""
     return Paths(
         allocate_rays(n),
-        allocate_ray_state(n, camera_from_world, texture_share),
+        allocate_ray_state(n, camera_from_world),
         np.ones((n, 3), np.float32),
         np.full(n, np.inf),
         np.zeros((n, 3), np.float32),

@@ -46,14 +46,9 @@ class RayState(NamedTuple):
     spread: np.ndarray  # (N,) float32, growth of that width per metre
     window: np.ndarray  # (N, 2) float32, position in the image, 0..1
     camera_from_world: np.ndarray  # (3, 4) float64
-    texture_share: (
-        float  # of the width, over which textures are filtered: less than 1 where many rays share a pixel
-    )
 
 
-def allocate_ray_state(
-    n: int, camera_from_world: np.ndarray | None = None, texture_share: float = 1.0
-) -> RayState:
+def allocate_ray_state(n: int, camera_from_world: np.ndarray | None = None) -> RayState:
     """Room for n ray states: camera rays (kind RAY_CAMERA) of no width, no bounces yet."""
     return RayState(
         np.ones(n, np.uint8),
@@ -67,7 +62,6 @@ def allocate_ray_state(
         np.zeros(n, np.float32),
         np.zeros((n, 2), np.float32),
         np.eye(4)[:3] if camera_from_world is None else np.asarray(camera_from_world, np.float64)[:3],
-        float(texture_share),
     )
 
 
@@ -98,8 +92,7 @@ def gather(
     width = None
     if ray_state is not None:
         width = ray_state.width[index] + ray_state.spread[index] * hits.t[index].astype(np.float32)
-    share = 1.0 if ray_state is None else ray_state.texture_share
-    _fill_surface(geometry, points, samples, chosen, needs, direction, width, share)
+    _fill_surface(geometry, points, samples, chosen, needs, direction, width)
     for need in needs:
         if need in _RAY_FIELDS:
             setattr(points, need, getattr(ray_state, _RAY_FIELDS[need])[index])
@@ -196,7 +189,6 @@ def _fill_surface(
     needs: frozenset[str],
     direction: np.ndarray,
     width: np.ndarray | None,
-    texture_share: float = 1.0,
 ) -> None:
     """Everything that place, triangle, view direction (n, 3) and footprint width (n,) decide."""
     n, tables = len(samples.part), geometry.tables
@@ -233,7 +225,7 @@ def _fill_surface(
         elif need == "object_location":
             points.object_location = samples.world_from_part[:, :, 3].astype(np.float32)
         elif need == "moved":
-            points.moved = _mover(geometry, points, samples, own, needs, direction, width, texture_share)
+            points.moved = _mover(geometry, points, samples, own, needs, direction, width)
         elif kind == "uv":
             points.uvs[name] = _layer_values(geometry, "uv", name, samples, 2)
         elif kind == "attribute":
@@ -242,9 +234,7 @@ def _fill_surface(
             points.tangents[name] = _layer_values(geometry, "tangent", name, samples, 4)
             tangents_to_world(samples, points.tangents[name])
         elif kind == "uv_footprint":
-            points.uv_footprints[name] = _uv_footprint(
-                geometry, name, samples, own, direction, width * texture_share
-            )
+            points.uv_footprints[name] = _uv_footprint(geometry, name, samples, own, direction, width)
         elif not (need in _RAY_FIELDS or need in _OTHER_FIELDS or need in ("local", "generated")
                   or (colon and kind in _LAYERS)):  # fmt: skip
             raise KeyError(f"surface points have no '{need}'")
@@ -280,7 +270,7 @@ def _uv_footprint(geometry, name, samples, own, direction, width) -> np.ndarray:
     return (width * np.sqrt(density / cosine)).astype(np.float32)
 
 
-def _mover(geometry, points, samples, own, needs, direction, width, texture_share):
+def _mover(geometry, points, samples, own, needs, direction, width):
     """SurfacePoints.moved: the same triangles' planes at other barycentric weights."""
 
     def moved(offset: np.ndarray) -> SurfacePoints:
@@ -299,7 +289,7 @@ def _mover(geometry, points, samples, own, needs, direction, width, texture_shar
         frames_there = allocate_frames(len(there.part))
         frames_of(geometry.tables, there, direction, frames_there)
         result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
-        _fill_surface(geometry, result, there, frames_there, needs, direction, width, texture_share)
+        _fill_surface(geometry, result, there, frames_there, needs, direction, width)
         return result
 
     return moved

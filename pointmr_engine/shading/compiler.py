@@ -53,9 +53,10 @@ def constant(value: Any, kind: str) -> Constant:
 class Builder:
     """Turns what is asked of a graph into `steps`, each node once. `warnings` name what is not supported."""
 
-    def __init__(self, graph: Graph, kind: str) -> None:
+    def __init__(self, graph: Graph, kind: str, filtered: bool = True) -> None:
         self.graph = graph
         self.kind = kind
+        self.filtered = filtered
         self.steps: list[Step] = []
         self.warnings: list[str] = []
         self.normal: Source | None = None  # displacement seen as bump: what replaces the shading normal
@@ -212,7 +213,7 @@ class Builder:
 
     def footprint(self, source: Source) -> Source:
         """Width, in its own units, that the ray's footprint has in a texture coordinate."""
-        if isinstance(source, Constant) or self.kind != "surface":
+        if isinstance(source, Constant) or self.kind != "surface" or not self.filtered:
             return constant(0.0, FLOAT)
         key = (source.step, source.output)
         if key not in self._footprints:

@@ -13,10 +13,10 @@ from pointmr_engine.shading.program import LeafPlan, leaf_template
 
 
 def flatten(
-    graph: Graph, kind: str
+    graph: Graph, kind: str, filtered: bool = True
 ) -> tuple[list[Step], list[LeafPlan], list[Source], list[Source], list[str]]:
     """Steps, leaves, terms of the straight-through transparency, terms of the emission, and warnings."""
-    builder = Builder(graph, kind)
+    builder = Builder(graph, kind, filtered)
     if graph.displacement is not None and kind == "surface":
         builder.normal = _displaced_normal(builder, graph.displacement)
     plans: list[LeafPlan] = []

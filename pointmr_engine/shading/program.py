@@ -187,11 +187,15 @@ def leaf_template(kind: int, columns: list[tuple[int, int, Source]]) -> np.ndarr
     return block
 
 
-def compile_graph(graph: Graph, kind: str = "surface") -> Program:
-    """Compile a material ("surface"), world ("background") or lamp ("light") graph. Never raises for odd nodes."""
+def compile_graph(graph: Graph, kind: str = "surface", filtered: bool = True) -> Program:
+    """Compile a material ("surface"), world ("background") or lamp ("light") graph. Never raises for odd nodes.
+
+    filtered: images are averaged over the ray's footprint. Without, they are read at the point: right where many rays
+    share a pixel, whose mean is then the filter, after shading instead of before.
+    """
     from pointmr_engine.shading.flatten import flatten
 
-    steps, leaves, transparency, emission, warnings = flatten(graph, kind)
+    steps, leaves, transparency, emission, warnings = flatten(graph, kind, filtered)
     return Program(kind, steps, leaves, transparency, emission, warnings)
 
 
