@@ -68,13 +68,16 @@ class Texture:
     ) -> np.ndarray:
         """RGBA (n, 4) float32, scene-linear, at uv (n, 2), averaged over squares of side `footprint` (n or 1,).
 
-        Colours are premultiplied by alpha unless `unassociate`. Every interpolation but "Closest" is linear.
+        Colours are premultiplied by alpha unless `unassociate`. interpolation: "Closest", "Linear", "Cubic" or
+        "Smart", which is cubic too (a B-spline: it smooths).
         """
         from pointmr_engine.shading.kernels import texture_lookup as kernel
 
         flags = kernel.SRGB if self.srgb else 0
         if interpolation == "Closest":
             flags |= kernel.CLOSEST
+        elif interpolation in ("Cubic", "Smart"):
+            flags |= kernel.CUBIC
         if unassociate and self.associated:
             flags |= kernel.UNASSOCIATE
         out = np.empty((len(uv), 4), np.float32)

@@ -489,6 +489,9 @@ def _image(
 for _extension in ("REPEAT", "EXTEND", "CLIP", "MIRROR"):
     CASES[f"image {_extension}"] = (_image(extension=_extension), 1e-4)
 CASES["image closest"] = (_image(interpolation="Closest"), 1e-4)
+for _extension in ("REPEAT", "EXTEND", "CLIP", "MIRROR"):
+    CASES[f"image cubic {_extension}"] = (_image(extension=_extension, interpolation="Cubic"), 1e-4)
+CASES["image smart"] = (_image(interpolation="Smart"), 1e-4)
 CASES["image data"] = (_image(data=True), 1e-4)
 CASES["image float"] = (_image(kind="float"), 1e-4)
 CASES["image sphere"] = (_image("SPHERE"), 1e-3)

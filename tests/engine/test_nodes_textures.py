@@ -47,6 +47,18 @@ def test_closest_takes_one_texel():
     assert found == pytest.approx(image.pixels[0, 0])
 
 
+@pytest.mark.parametrize("interpolation", ["Cubic", "Smart"])
+def test_cubic_is_the_uniform_b_spline(interpolation):
+    """A lone bright texel spreads as the spline: 2/3 at its centre, 23/48 halfway to the next, 1/6 at the next."""
+    pixels = np.zeros((1, 9, 4), np.float32)
+    pixels[0, 4] = 1
+    u = np.array([4.5, 5.0, 5.5, 6.5]) / 9
+    uv = np.stack([u, np.full(4, 0.5)], -1)
+    texture = Texture(Image("dot", pixels, "Linear"))
+    found = texture.look_up(uv, NO_FOOTPRINT, "REPEAT", interpolation)[:, 3]
+    assert found == pytest.approx([2 / 3, 23 / 48, 1 / 6, 0], abs=1e-6)
+
+
 def test_wide_footprints_average_in_linear_light():
     """A checkerboard of black and white bytes is 50% light from afar, not the 21% that averaged sRGB would give."""
     board = (np.indices((64, 64)).sum(0) % 2 * 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Looking up a mip pyramid: bilinear within a level, linear between levels."""
+"""Looking up a mip pyramid: nearest, bilinear or bicubic within a level, linear between levels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numba import njit
 
 REPEAT, EXTEND, CLIP, MIRROR = range(4)
 # bits of `flags`
-CLOSEST, SRGB, UNASSOCIATE = 1, 2, 4
+CLOSEST, SRGB, UNASSOCIATE, CUBIC = 1, 2, 4, 8
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -45,6 +45,32 @@ def srgb_to_linear(x):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def b_spline(f, k):
+    """Weight of the k-th (0..3) of four texels for a point at fraction f between the second and the third."""
+    if k == 0:
+        return (1.0 - f) ** 3 / 6.0
+    if k == 1:
+        return (f * f * (3.0 * f - 6.0) + 4.0) / 6.0
+    if k == 2:
+        g = 1.0 - f
+        return (g * g * (3.0 * g - 6.0) + 4.0) / 6.0
+    return f**3 / 6.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_cubic(texels, offset, width, height, x, y, extension, out):
+    """Add the uniform cubic B-spline over 4 x 4 texels at (x, y), in texels, to out (4,)."""
+    x0, y0 = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
+    fx, fy = x - 0.5 - x0, y - 0.5 - y0
+    for j in range(4):
+        wy = b_spline(fy, j)
+        for i in range(4):
+            add_texel(
+                texels, offset, width, height, x0 + i - 1, y0 + j - 1, extension, wy * b_spline(fx, i), out
+            )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def lookup_level(texels, levels, level, u, v, extension, flags, scale, out):
     """Premultiplied scene-linear RGBA of one level at (u, v), into out (4,)."""
     offset, width, height = levels[level, 0], levels[level, 1], levels[level, 2]
@@ -53,6 +79,8 @@ def lookup_level(texels, levels, level, u, v, extension, flags, scale, out):
     x, y = u * width, v * height
     if flags & CLOSEST:
         add_texel(texels, offset, width, height, int(np.floor(x)), int(np.floor(y)), extension, 1.0, out)
+    elif flags & CUBIC and level == 0:  # coarser levels are smooth enough
+        add_cubic(texels, offset, width, height, x, y, extension, out)
     else:
         x0, y0 = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
         fx, fy = x - 0.5 - x0, y - 0.5 - y0
