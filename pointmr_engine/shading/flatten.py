@@ -176,6 +176,8 @@ def _normals(
 ) -> dict[str, Source]:
     """Normals and tangents that differ from the point's own."""
     found: dict[str, Source] = {}
+    if builder.normal is not None and "normal" in shader.inputs:
+        found["surface_normal"] = builder.normal
     for name in ("normal", "coat_normal"):
         if name not in shader.inputs:
             continue

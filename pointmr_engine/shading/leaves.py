@@ -1,7 +1,7 @@
 """Leaf shaders: what a material program yields, before view-dependent expansion into lobes.
 
-A program turns surface points into leaves; `shading.lobes` turns leaves, view and normals into BSDF lobes. A leaf is what
-the surface alone decides, and can be stored with a sample of a hierarchy.
+A program turns surface points into leaves; `shading.lobes` turns leaves, view and normals into BSDF lobes. A leaf is
+what the surface alone decides, and can be stored with a sample of a hierarchy.
 """
 
 from __future__ import annotations
@@ -93,11 +93,15 @@ DISTRIBUTIONS = ("multi_ggx", "ggx", "beckmann", "sharp", "ashikhmin_shirley")
 
 @dataclass
 class Leaf:
-    """One leaf shader over a batch of points. Normals (n, 3) float32 or None for the point's own shading normal."""
+    """One leaf shader over a batch of points. Normals (n, 3) float32 or None for the point's own shading normal.
+
+    surface_normal: what displacement shown as bump makes of the points' own shading normal, for all their leaves.
+    """
 
     kind: int
     block: np.ndarray  # (n or 1, len(COLUMNS[kind])) float32
     normal: np.ndarray | None = None
     coat_normal: np.ndarray | None = None
     tangent: np.ndarray | None = None
+    surface_normal: np.ndarray | None = None
     distribution: str = "multi_ggx"

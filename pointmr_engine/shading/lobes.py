@@ -126,6 +126,8 @@ def append(
     if kind in (leaves.TRANSPARENT, leaves.EMISSION, leaves.BACKGROUND, leaves.HOLDOUT):
         _append_sums(lobes, kind, rows, block[:, :3])
         return
+    if leaf.surface_normal is not None:
+        lobes.normal[rows] = leaf.surface_normal
     normals = _vectors(leaf.normal)
     multiple = leaf.distribution == "multi_ggx"
     modifiers = BECKMANN if leaf.distribution == "beckmann" else 0

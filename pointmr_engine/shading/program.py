@@ -23,7 +23,8 @@ class LeafPlan:
     """How a leaf is filled: which source fills which columns, and what each varies with.
 
     columns: (first column, number of columns, source); column_varying: input name -> subset of {"surface", "view",
-    "ray", "instance"}; normals: the Leaf's fields "normal", "coat_normal", "tangent" -> source.
+    "ray", "instance"}; normals: the Leaf's fields "normal", "coat_normal", "tangent",
+    "surface_normal" -> source.
     """
 
     kind: int

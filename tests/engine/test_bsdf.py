@@ -232,6 +232,19 @@ def test_caustics_switches_apply_to_diffuse_rays_only():
         assert list(lb.count) == expected
 
 
+def test_displaced_surfaces_have_no_bumped_terminator():
+    """Displacement shown as bump is the surface's own normal: nothing leaks through or softens that is not below it."""
+    wi = viewer(0.7)[None]
+    tilted = np.float32([[0.6, 0.0, 0.8]])
+    wo = np.float64([[0.99, 0.0, 0.141], [0.995, 0.0, -0.0999]])
+    bumped, displaced = (
+        evaluate(make_lobes(leaves.DIFFUSE, wi, {}, normal=tilted, surface_normal=surface), wi, wo, 0)[:, 0]
+        for surface in (None, tilted)
+    )
+    assert displaced == pytest.approx(wo @ tilted[0] / np.pi, rel=1e-4)
+    assert bumped[0] < 0.7 * displaced[0] and bumped[1] == 0
+
+
 def test_a_full_point_keeps_what_it_has():
     wi = viewer(0.7)[None]
     normal = np.float32([[0.0, 0.0, 1.0]])

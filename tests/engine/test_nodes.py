@@ -256,6 +256,7 @@ def test_displacement_bends_every_normal():
     (leaf,) = program.evaluate(p)
     assert leaf.normal == pytest.approx(np.tile([-0.5, 0, 1] / np.sqrt(1.25), (2, 1)), abs=1e-3)
     assert leaf.coat_normal is leaf.normal or np.array_equal(leaf.coat_normal, leaf.normal)
+    assert leaf.surface_normal is leaf.normal
 
 
 def test_plain_emission_and_backgrounds():

@@ -70,7 +70,7 @@ class Lobes(NamedTuple):
     holdout: np.ndarray  # (n,) float32, weight of holdout leaves
     diffuse_color: np.ndarray  # (n, 3) float32, albedo of the diffuse lobes (Diffuse Color pass)
     flags: np.ndarray  # (n,) uint8, HAS_*
-    normal: np.ndarray  # (n, 3) float32, the points' shading normal, viewer's side
+    normal: np.ndarray  # (n, 3) float32, the points' shading normal, viewer's side, displacement included
     geometric_normal: np.ndarray  # (n, 3) float32, viewer's side
     film_table: np.ndarray  # (6, m) float32, spectral sensitivities for thin films
 
