@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from pointmr_engine.numerics.jit import uncounted
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def hash_u32(x: np.uint32) -> np.uint32:
     """A bijective 32-bit mix with low bias (Wellons' lowbias32)."""
     x = np.uint32(x)
@@ -18,7 +19,7 @@ def hash_u32(x: np.uint32) -> np.uint32:
     return x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def hash_path(parent: np.uint64, record: np.int64) -> np.uint64:
     """Key of the placement reached from `parent` (0: the root) through instance record `record` (splitmix64)."""
     z = np.uint64(parent) + (np.uint64(record) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
@@ -27,7 +28,7 @@ def hash_path(parent: np.uint64, record: np.int64) -> np.uint64:
     return z ^ (z >> np.uint64(31))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def combine_seeds(parent: np.uint32, child: np.uint32) -> np.uint32:
     """Seed of an instance inside an instance; 0 is neutral on either side."""
     if parent == 0:

@@ -9,15 +9,15 @@ are decorrelated. Values lie in [0, 1) and have 24 bits, so that they stay below
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.numerics.hashing import hash_u32
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.sobol import sobol_tables  # noqa: F401  (the `tables` argument of the kernels here)
 
 _INV_2_24 = 2.0**-24
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def reverse_bits(n: np.uint32) -> np.uint32:
     """The 32 bits of n in opposite order."""
     n = np.uint32(n)
@@ -37,7 +37,7 @@ def reverse_bits(n: np.uint32) -> np.uint32:
     return n
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def scramble_reversed(n: np.uint32, seed: np.uint32) -> np.uint32:
     """Owen scrambling (base 2) of a number whose bits are reversed."""
     n = np.uint32(n)
@@ -50,7 +50,7 @@ def scramble_reversed(n: np.uint32, seed: np.uint32) -> np.uint32:
     return n
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def pixel_seed(x: np.int64, y: np.int64, seed: np.int64) -> np.uint32:
     """Seed of one pixel's sequence, from its place in the whole image and the seed of the settings."""
     h = hash_u32(np.uint32(seed) + np.uint32(0x9E3779B9))
@@ -58,14 +58,14 @@ def pixel_seed(x: np.int64, y: np.int64, seed: np.int64) -> np.uint32:
     return hash_u32(np.uint32(np.uint32(h + np.uint32(0x85EBCA6B)) ^ np.uint32(y)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _set_seed(seed: np.uint32, dimension_set: np.uint32, salt: np.uint32) -> np.uint32:
     return hash_u32(
         np.uint32(np.uint32(seed) ^ hash_u32(np.uint32(np.uint32(dimension_set) + np.uint32(salt))))
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _coordinate(table: np.ndarray, reversed_index: np.uint32, seed: np.uint32) -> np.float64:
     bits = (
         table[0, reversed_index & np.uint32(255)]
@@ -76,14 +76,14 @@ def _coordinate(table: np.ndarray, reversed_index: np.uint32, seed: np.uint32) -
     return np.float64(reverse_bits(scramble_reversed(bits, hash_u32(seed))) >> np.uint32(8)) * _INV_2_24
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _first_coordinate(reversed_index: np.uint32, seed: np.uint32) -> np.float64:
     # Dimension 0 is the radical inverse: both reversals cancel but for the last one.
     bits = scramble_reversed(reverse_bits(reversed_index), hash_u32(seed))
     return np.float64(reverse_bits(bits) >> np.uint32(8)) * _INV_2_24
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def sample_4d(tables, seed, dimension_set, index):
     """Four numbers in [0, 1) (float64), jointly stratified over `index`, which counts a pixel's samples from 0.
 
@@ -99,7 +99,7 @@ def sample_4d(tables, seed, dimension_set, index):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def sample_2d(tables, seed, dimension_set, index):
     """Two numbers as `sample_4d`; uncorrelated with the 4D and 1D sets of the same number."""
     s = _set_seed(seed, dimension_set, np.uint32(0x2545F491))
@@ -110,7 +110,7 @@ def sample_2d(tables, seed, dimension_set, index):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def sample_1d(tables, seed, dimension_set, index):
     """One number as `sample_4d`; uncorrelated with the 4D and 2D sets of the same number."""
     s = _set_seed(seed, dimension_set, np.uint32(0x1B56C4E9))
@@ -118,7 +118,7 @@ def sample_1d(tables, seed, dimension_set, index):
     return _first_coordinate(i, np.uint32(s + np.uint32(1)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def fill_4d(tables, seeds, dimension_set, indices, out, start, stop):
     """`sample_4d` for a batch: out[k] = sample of (seeds[k], dimension_set, indices[k]) for k in start..stop.
 
@@ -128,7 +128,7 @@ def fill_4d(tables, seeds, dimension_set, indices, out, start, stop):
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = sample_4d(tables, seeds[k], dimension_set, indices[k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def fill_pixel_seeds(x, y, seed, out, start, stop):
     """`pixel_seed` for a batch: x, y (N,) int32 pixels, seed int; out (N,) uint32."""
     for k in range(start, stop):

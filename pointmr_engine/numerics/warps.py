@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
+from pointmr_engine.numerics.jit import uncounted
 
 
-@_jit
+@uncounted
 def concentric_disk(u1, u2):
     """(x, y) in the unit disk, uniform in area (Shirley and Chiu)."""
     a = 2.0 * u1 - 1.0
@@ -29,7 +27,7 @@ def concentric_disk(u1, u2):
     return r * math.cos(phi), r * math.sin(phi)
 
 
-@_jit
+@uncounted
 def orthonormal_basis(x, y, z):
     """Two unit vectors (x1, y1, z1, x2, y2, z2) that complete the unit vector to a right-handed basis (Duff et al. 2017)."""
     s = math.copysign(1.0, z)
@@ -38,7 +36,7 @@ def orthonormal_basis(x, y, z):
     return 1.0 + s * x * x * a, s * b, -s * x, b, s + y * y * a, -y
 
 
-@_jit
+@uncounted
 def cosine_hemisphere(x, y, z, u1, u2):
     """Direction (x, y, z) around the unit normal, with density cos / pi, and its cosine."""
     dx, dy = concentric_disk(u1, u2)
@@ -47,7 +45,7 @@ def cosine_hemisphere(x, y, z, u1, u2):
     return dx * ax + dy * bx + c * x, dx * ay + dy * by + c * y, dx * az + dy * bz + c * z, c
 
 
-@_jit
+@uncounted
 def uniform_cone(x, y, z, one_minus_cos, u1, u2):
     """Direction (x, y, z) within a cone around the unit axis, uniform in solid angle, and 1 - cos of its angle to it.
 
@@ -63,13 +61,13 @@ def uniform_cone(x, y, z, one_minus_cos, u1, u2):
     return dx * ax + dy * bx + c * x, dx * ay + dy * by + c * y, dx * az + dy * bz + c * z, h
 
 
-@_jit
+@uncounted
 def one_minus_cos_of_sine(sine_squared):
     """1 - cos(a) from sin(a)^2, a <= pi/2, without cancellation."""
     return sine_squared / (1.0 + math.sqrt(max(0.0, 1.0 - sine_squared)))
 
 
-@_jit
+@uncounted
 def triangle_barycentrics(u1, u2):
     """Barycentric weights (of vertices 1 and 2) of a point uniform in area (Heitz 2019, low distortion)."""
     if u2 > u1:
@@ -79,7 +77,7 @@ def triangle_barycentrics(u1, u2):
     return u1 - c, c
 
 
-@_jit
+@uncounted
 def triangle_solid_angle(ax, ay, az, bx, by, bz, cx, cy, cz):
     """Solid angle of the triangle of three unit vectors (van Oosterom and Strackee)."""
     triple = abs(ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx))
@@ -89,7 +87,7 @@ def triangle_solid_angle(ax, ay, az, bx, by, bz, cx, cy, cz):
     return 2.0 * math.atan2(triple, 1.0 + ab + ac + bc)
 
 
-@_jit
+@uncounted
 def spherical_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, solid_angle, u1, u2):
     """Direction in the spherical triangle of unit vectors a, b, c, uniform in solid angle (Arvo 1995)."""
     ab = ax * bx + ay * by + az * bz
@@ -132,7 +130,7 @@ def spherical_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, solid_angle, u1, u2):
     return z * bx + w * fx, z * by + w * fy, z * bz + w * fz
 
 
-@_jit
+@uncounted
 def rectangle_solid_angle(x0, x1, y0, y1, z):
     """Solid angle of the axis-parallel rectangle [x0, x1] x [y0, y1] in the plane at distance |z| from the origin."""
     h = abs(z)
@@ -144,7 +142,7 @@ def rectangle_solid_angle(x0, x1, y0, y1, z):
     return max(0.0, (a - b) - (c - d))
 
 
-@_jit
+@uncounted
 def spherical_rectangle(x0, x1, y0, y1, z, solid_angle, u1, u2):
     """Point (x, y) of the rectangle, uniform in the solid angle that it fills seen from the origin (Urena et al. 2013)."""
     h = abs(z)

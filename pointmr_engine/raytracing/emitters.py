@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements, placements
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.warps import spherical_triangle, triangle_barycentrics, triangle_solid_angle
 from pointmr_engine.raytracing.surface import points_at
 from pointmr_engine.scene.graph import Graph, Link
@@ -27,8 +27,6 @@ _PROBES = np.array(
     [[1 / 3, 1 / 3], [1 / 6, 1 / 6], [2 / 3, 1 / 6], [1 / 6, 2 / 3], [0.45, 0.1], [0.1, 0.45], [0.45, 0.45]],
     np.float32,
 )
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Emitters(NamedTuple):
@@ -271,7 +269,7 @@ def _pack(blocks: list[tuple], varying: np.ndarray) -> tuple[Emitters, np.ndarra
     return emitters, material
 
 
-@_jit
+@uncounted
 def _slot(path, triangle, mask):
     """Home of a key in the hash table."""
     z = np.uint64(path) ^ (np.uint64(np.uint32(triangle)) * np.uint64(0x9E3779B97F4A7C15))
@@ -279,7 +277,7 @@ def _slot(path, triangle, mask):
     return np.int64((z >> np.uint64(32)) & np.uint64(mask))
 
 
-@_jit
+@uncounted
 def _fill_table(table, path, triangle):
     mask = len(table) - 1
     for e in range(len(path)):
@@ -289,7 +287,7 @@ def _fill_table(table, path, triangle):
         table[slot] = e
 
 
-@_jit
+@uncounted
 def find_emitter(emitters, path, triangle):
     """Index of the emitter that is `triangle` of the placement `path`, or -1."""
     mask = len(emitters.table) - 1
@@ -303,7 +301,7 @@ def find_emitter(emitters, path, triangle):
         slot = (slot + 1) & mask
 
 
-@_jit
+@uncounted
 def _shape_from(v, px, py, pz):
     """What p sees of a triangle: (solid angle, 0 to sample by area; 2 * area; height of p over the winding's front)."""
     ex, ey, ez = v[1, 0] - v[0, 0], v[1, 1] - v[0, 1], v[1, 2] - v[0, 2]
@@ -329,7 +327,7 @@ def _shape_from(v, px, py, pz):
     return solid_angle, double_area, height
 
 
-@_jit
+@uncounted
 def sample_emitter(emitters, e, px, py, pz, u1, u2):
     """Choose a point of emitter e seen from p: (dx, dy, dz, distance, pdf, u, v). pdf 0: nothing can be sampled."""
     v = emitters.vertices[e]
@@ -381,7 +379,7 @@ def sample_emitter(emitters, e, px, py, pz, u1, u2):
     return dx / distance, dy / distance, dz / distance, distance, pdf, s, t
 
 
-@_jit
+@uncounted
 def emitter_density(emitters, e, px, py, pz, distance):
     """Density per solid angle with which `sample_emitter` chooses a point of emitter e at that distance from p."""
     solid_angle, double_area, height = _shape_from(emitters.vertices[e], px, py, pz)

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.warps import cosine_hemisphere, uniform_cone
 from pointmr_engine.scene.graph import Link
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
@@ -28,8 +28,6 @@ _RAY_KINDS = {
     GLOSSY: surface_points.RAY_GLOSSY | surface_points.RAY_REFLECTION,
     TRANSMISSION: surface_points.RAY_TRANSMISSION,
 }
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class WorldMap(NamedTuple):
@@ -146,7 +144,7 @@ def _widened(weight: np.ndarray) -> np.ndarray:
     return np.maximum(weight, around * np.float32(0.25 / 9.0))
 
 
-@_jit
+@uncounted
 def _row_of(borders, x):
     """Last i with borders[i] <= x, within the rows."""
     low, high = 0, len(borders) - 1
@@ -159,7 +157,7 @@ def _row_of(borders, x):
     return low
 
 
-@_jit
+@uncounted
 def _column_of(columns, row, x):
     """Last i with columns[row, i] <= x, within the columns."""
     low, high = 0, columns.shape[1] - 1
@@ -172,21 +170,21 @@ def _column_of(columns, row, x):
     return low
 
 
-@_jit
+@uncounted
 def _map_density(world, row, column):
     solid_angle = (world.edges[row + 1] - world.edges[row]) * (2.0 * math.pi / (world.columns.shape[1] - 1))
     share = world.rows[row + 1] - world.rows[row]
     return share * float(world.columns[row, column + 1] - world.columns[row, column]) / solid_angle
 
 
-@_jit
+@uncounted
 def _sun_offset(world, dx, dy, dz):
     """1 - cos of the angle to the sky's sun."""
     ex, ey, ez = dx - world.sun[0], dy - world.sun[1], dz - world.sun[2]
     return 0.5 * (ex * ex + ey * ey + ez * ez)
 
 
-@_jit
+@uncounted
 def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
     """Density per solid angle with which `sample_world` chooses the direction d."""
     if world.mode == UNIFORM:
@@ -204,7 +202,7 @@ def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
     return density
 
 
-@_jit
+@uncounted
 def sample_world(world, nx, ny, nz, transmissive, u1, u2):
     """Choose a direction to the world: (dx, dy, dz, density). n: the unit normal of the surface that is lit."""
     if world.mode == UNIFORM:

@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.warps import (
     concentric_disk,
     cosine_hemisphere,
@@ -35,8 +35,6 @@ COLUMNS = 31
 
 _TINY_SOLID_ANGLE = 1e-7  # below it a rectangle is sampled by area: as good, and exact
 _INF = math.inf
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Lamps(NamedTuple):
@@ -169,7 +167,7 @@ def _compile_area(
     return shape, values, radiance, light.use_mis
 
 
-@_jit
+@uncounted
 def _spot_attenuation(row, dx, dy, dz):
     """Share of a spot's intensity that leaves against the unit direction d (from the lit point to the lamp)."""
     x = -(row[LOCAL] * dx + row[LOCAL + 1] * dy + row[LOCAL + 2] * dz)
@@ -182,7 +180,7 @@ def _spot_attenuation(row, dx, dy, dz):
     return t * t * (3.0 - 2.0 * t)
 
 
-@_jit
+@uncounted
 def _round_cone(row, shape, d2):
     """1 - cos of the half angle that a sphere or a disc facing the point fills, at squared distance d2 (> r^2)."""
     r2 = row[RADIUS] * row[RADIUS]
@@ -192,7 +190,7 @@ def _round_cone(row, shape, d2):
     return r2 / (h2 + math.sqrt(h2 * d2))
 
 
-@_jit
+@uncounted
 def _sphere_distance(px, py, pz, row, dx, dy, dz):
     """Distance along the unit direction to a sphere: its front from outside, its back from inside; -1: missed."""
     cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
@@ -208,7 +206,7 @@ def _sphere_distance(px, py, pz, row, dx, dy, dz):
     return along + half
 
 
-@_jit
+@uncounted
 def _sample_round(row, shape, px, py, pz, nx, ny, nz, transmissive, u1, u2):
     """sample_lamp for points, spheres and discs that face the point."""
     cx, cy, cz = row[PX] - px, row[PY] - py, row[PZ] - pz
@@ -254,7 +252,7 @@ def _sample_round(row, shape, px, py, pz, nx, ny, nz, transmissive, u1, u2):
     return dx, dy, dz, t, 1.0 / (2.0 * math.pi * cone), scale
 
 
-@_jit
+@uncounted
 def _area_region(row, shape, x, y, h):
     """Part of an area light that can light a point: (shape, centre u, v, half sides), half side 0 if none.
 
@@ -279,7 +277,7 @@ def _area_region(row, shape, x, y, h):
     return RECTANGLE, 0.5 * (u0 + u1), 0.5 * (v0 + v1), 0.5 * (u1 - u0), 0.5 * (v1 - v0)
 
 
-@_jit
+@uncounted
 def _spread_scale(row, cosine):
     """Share of the radiance that an area light sends at an angle to its axis, by the cosine."""
     tangent = row[TAN_SPREAD]
@@ -290,7 +288,7 @@ def _spread_scale(row, cosine):
     return max(0.0, (tangent - math.sqrt(max(0.0, 1.0 - cosine * cosine)) / cosine) * row[SPREAD_SCALE])
 
 
-@_jit
+@uncounted
 def _inside_area(row, shape, x, y):
     if shape == ELLIPSE:
         x /= row[HALF_U]
@@ -299,7 +297,7 @@ def _inside_area(row, shape, x, y):
     return abs(x) <= row[HALF_U] and abs(y) <= row[HALF_V]
 
 
-@_jit
+@uncounted
 def _area_point(row, px, py, pz):
     """The point in an area light's frame: along its sides and in front of it."""
     cx, cy, cz = px - row[PX], py - row[PY], pz - row[PZ]
@@ -308,7 +306,7 @@ def _area_point(row, px, py, pz):
     return x, y, cx * row[AX] + cy * row[AY] + cz * row[AZ]
 
 
-@_jit
+@uncounted
 def _sample_area(row, shape, px, py, pz, u1, u2):
     """sample_lamp for area lights."""
     x, y, h = _area_point(row, px, py, pz)
@@ -345,7 +343,7 @@ def _sample_area(row, shape, px, py, pz, u1, u2):
     return dx, dy, dz, t, pdf, scale
 
 
-@_jit
+@uncounted
 def _area_density(region, solid_angle, a, b, h, t):
     """Density per solid angle of a point at distance t on a region; solid_angle 0 if the region is an ellipse."""
     if region == RECTANGLE:
@@ -355,7 +353,7 @@ def _area_density(region, solid_angle, a, b, h, t):
     return t * t * t / (h * math.pi * a * b)
 
 
-@_jit
+@uncounted
 def sample_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive, u1, u2):
     """Choose a direction from p to lamp i: (dx, dy, dz, distance, pdf, scale). pdf 0: nothing can be sampled.
 
@@ -373,7 +371,7 @@ def sample_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive, u1, u2):
     return -row[AX], -row[AY], -row[AZ], _INF, 1.0, 1.0
 
 
-@_jit
+@uncounted
 def intersect_lamp(lamps, i, px, py, pz, dx, dy, dz):
     """Distance at which the ray from p meets lamp i (inf for suns), or -1. Delta lamps are never met."""
     row = lamps.values[i]
@@ -405,7 +403,7 @@ def intersect_lamp(lamps, i, px, py, pz, dx, dy, dz):
     return -1.0
 
 
-@_jit
+@uncounted
 def lamp_pdf_scale(lamps, i, px, py, pz, nx, ny, nz, transmissive, dx, dy, dz, t):
     """(pdf, scale) of the point of lamp i that the ray from p meets at distance t: what `sample_lamp` would say."""
     row = lamps.values[i]

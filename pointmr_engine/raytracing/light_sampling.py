@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing.emitters import Emitters, emitter_density, find_emitter, sample_emitter
 from pointmr_engine.raytracing.environment import WorldMap, sample_world, world_density
 from pointmr_engine.raytracing.lamps import Lamps, intersect_lamp, lamp_pdf_scale, sample_lamp
@@ -17,8 +17,6 @@ from pointmr_engine.raytracing.light_tree import LightTree, choose_light, light_
 from pointmr_engine.scene.group import CAMERA
 
 NONE, LAMP, TRIANGLE, WORLD = 0, 1, 2, 3
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class LightSamples(NamedTuple):
@@ -87,7 +85,7 @@ def power_heuristic(pdf: np.ndarray, other: np.ndarray) -> np.ndarray:
         return (1.0 / (1.0 + ratio * ratio)).astype(np.float32)
 
 
-@_jit
+@uncounted
 def choose_lights(tree, position, normal, transmissive, u, out):
     """First stage of `Lights.sample`: kind and index of a light for each point; its probability in out.pdf."""
     for i in range(len(position)):
@@ -105,7 +103,7 @@ def choose_lights(tree, position, normal, transmissive, u, out):
         out.triangle[i] = -1
 
 
-@_jit
+@uncounted
 def _place(out, i, dx, dy, dz, t, pdf):
     """Note the direction to light i's sample; False, and no light, where it could not be sampled."""
     pdf *= out.pdf[i]
@@ -122,7 +120,7 @@ def _place(out, i, dx, dy, dz, t, pdf):
     return True
 
 
-@_jit
+@uncounted
 def sample_lamps(lamps, position, normal, transmissive, u, out):
     """Second stage: directions to the lamps that were chosen."""
     for i in range(len(position)):
@@ -144,7 +142,7 @@ def sample_lamps(lamps, position, normal, transmissive, u, out):
             out.visibility[i] = lamps.visibility[lamp]
 
 
-@_jit
+@uncounted
 def sample_emitters(emitters, position, u, out):
     """Second stage: points of the emissive triangles that were chosen."""
     for i in range(len(position)):
@@ -164,7 +162,7 @@ def sample_emitters(emitters, position, u, out):
             out.u[i], out.v[i] = bu, bv
 
 
-@_jit
+@uncounted
 def sample_worlds(world, visibility, normal, transmissive, u, out):
     """Second stage: directions where the world was chosen."""
     for i in range(len(normal)):
@@ -176,7 +174,7 @@ def sample_worlds(world, visibility, normal, transmissive, u, out):
             out.visibility[i] = visibility
 
 
-@_jit
+@uncounted
 def _weight(pdf, other):
     """Power heuristic of one pair; pdf may be infinite."""
     if not other > 0.0:
@@ -185,7 +183,7 @@ def _weight(pdf, other):
     return 1.0 / (1.0 + ratio * ratio)
 
 
-@_jit
+@uncounted
 def add_seen_lamps(
     lamps, tree, met, suns, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out
 ):
@@ -216,7 +214,7 @@ def add_seen_lamps(
                 out[i, c] += lamps.radiance[lamp, c] * scale
 
 
-@_jit
+@uncounted
 def selection_pdf(tree, leaf, position, normal, transmissive, out):
     """Multiply out (N,) by the probability with which the light of each node leaf (N,) is chosen; nothing for -1."""
     for i in range(len(leaf)):
@@ -226,7 +224,7 @@ def selection_pdf(tree, leaf, position, normal, transmissive, out):
             out[i] *= light_probability(tree, leaf[i], px, py, pz, nx, ny, nz, transmissive[i])
 
 
-@_jit
+@uncounted
 def emitter_densities(emitters, leaf_of_emitter, path, triangle, position, distance, leaf, out):
     """Density (N,) per solid angle of each triangle's own sampling, and its node in the tree (-1: not sampled)."""
     for i in range(len(path)):
@@ -238,7 +236,7 @@ def emitter_densities(emitters, leaf_of_emitter, path, triangle, position, dista
             out[i] = emitter_density(emitters, e, position[i, 0], position[i, 1], position[i, 2], distance[i])
 
 
-@_jit
+@uncounted
 def world_densities(world, normal, transmissive, direction, out):
     """Density (N,) per solid angle of the world's own sampling."""
     for i in range(len(direction)):

@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import lamps as lamp_kinds
 from pointmr_engine.raytracing.emitters import BACK, FRONT, Emitters
 from pointmr_engine.raytracing.environment import OFF, WorldMap
@@ -35,8 +35,6 @@ COLUMNS = 20
 _FEW = 32  # lights that are all weighed at every point
 _TOPS = 16  # clusters weighed at the top of a tree
 _CLOSED = 0.05  # importance of the inside of closed meshes
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class LightTree(NamedTuple):
@@ -196,7 +194,7 @@ def _top_clusters(first_child: np.ndarray, clusters: np.ndarray) -> list[int]:
     return tops
 
 
-@_jit
+@uncounted
 def _facing(cosine, cos_u, sin_u, cos_o, sin_o, cos_oe):
     """Cosine at which a cluster's lights shine towards a point, at best: 0 if none of them does.
 
@@ -213,7 +211,7 @@ def _facing(cosine, cos_u, sin_u, cos_o, sin_o, cos_oe):
     return max(0.0, c * cos_o + math.sqrt(max(0.0, 1.0 - c * c)) * sin_o)
 
 
-@_jit
+@uncounted
 def _far_importance(values, node, nx, ny, nz, transmissive):
     """node_importance of suns and the world."""
     energy = values[node, ENERGY]
@@ -228,7 +226,7 @@ def _far_importance(values, node, nx, ny, nz, transmissive):
     return 0.5 * energy * (max(0.0, best) + max(0.0, c))
 
 
-@_jit
+@uncounted
 def _falloff(values, node, cosine):
     """Share of a lamp's strongest intensity that leaves its centre at an angle to its axis."""
     t = min(1.0, max(0.0, (cosine - values[node, EDGE]) * values[node, STEEP]))
@@ -241,7 +239,7 @@ def _falloff(values, node, cosine):
     return share
 
 
-@_jit
+@uncounted
 def node_importance(values, node, px, py, pz, nx, ny, nz, transmissive):
     """Roughly the irradiance that a node's lights give to a point without shadows; 0 only if they give nothing.
 
@@ -297,31 +295,31 @@ def node_importance(values, node, px, py, pz, nx, ny, nz, transmissive):
     return 0.5 * near * (best * shine + max(0.0, c) * max(0.0, likely))
 
 
-@_jit
+@uncounted
 def _weigh(values, item, span, node, px, py, pz, nx, ny, nz, transmissive):
     """Importance of a node; of a bucket the sum of its lights', which promises no more than they hold."""
     if values[node, KIND] != CLUSTER or item[node] >= 0:
         return node_importance(values, node, px, py, pz, nx, ny, nz, transmissive)
     total = 0.0
-    for light in range(span[node, 0], span[node, 1]):
+    for light in range(np.int64(span[node, 0]), np.int64(span[node, 1])):
         total += node_importance(values, light, px, py, pz, nx, ny, nz, transmissive)
     return total
 
 
-@_jit
+@uncounted
 def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
     """Choose a light's node: (node, probability); node -1 if nothing lights the point."""
     values, item, span, tops = tree.values, tree.item, tree.span, tree.tops
     total = 0.0
-    chosen = -1
+    chosen = np.int64(-1)
     weight = 0.0
     for k in range(len(tops)):
-        w = _weigh(values, item, span, tops[k], px, py, pz, nx, ny, nz, transmissive)
+        w = _weigh(values, item, span, np.int64(tops[k]), px, py, pz, nx, ny, nz, transmissive)
         if w > 0.0:
             total += w
             share = w / total
             if u < share:
-                chosen = tops[k]
+                chosen = np.int64(tops[k])
                 weight = w
                 u = u / share
             else:
@@ -330,7 +328,7 @@ def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
         return -1, 0.0
     probability = weight / total
     while values[chosen, KIND] == CLUSTER and item[chosen] >= 0:
-        left = item[chosen]
+        left = np.int64(item[chosen])
         a = _weigh(values, item, span, left, px, py, pz, nx, ny, nz, transmissive)
         b = _weigh(values, item, span, left + 1, px, py, pz, nx, ny, nz, transmissive)
         if a + b <= 0.0:
@@ -352,7 +350,7 @@ def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
     u *= weight
     light = -1
     w = 0.0
-    for k in range(span[chosen, 0], span[chosen, 1]):
+    for k in range(np.int64(span[chosen, 0]), np.int64(span[chosen, 1])):
         next_w = node_importance(values, k, px, py, pz, nx, ny, nz, transmissive)
         if next_w > 0.0:
             light = k
@@ -363,18 +361,18 @@ def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
     return light, probability * w / weight
 
 
-@_jit
+@uncounted
 def light_probability(tree, leaf, px, py, pz, nx, ny, nz, transmissive):
     """Probability with which `choose_light` chooses that light's node."""
     values, item, span, tops = tree.values, tree.item, tree.span, tree.tops
     probability = 1.0
-    node = leaf
+    node = np.int64(leaf)  # node numbers of another type would have all compiled once more, here and above
     own = node_importance(values, node, px, py, pz, nx, ny, nz, transmissive)
     while tree.top[node] < 0:
         if own <= 0.0:
             return 0.0
-        parent = tree.parent[node]
-        left = item[parent]
+        parent = np.int64(tree.parent[node])
+        left = np.int64(item[parent])
         if left < 0:
             total = _weigh(values, item, span, parent, px, py, pz, nx, ny, nz, transmissive)
             probability *= own / total
@@ -389,5 +387,5 @@ def light_probability(tree, leaf, px, py, pz, nx, ny, nz, transmissive):
         return 0.0
     total = 0.0
     for k in range(len(tops)):
-        total += _weigh(values, item, span, tops[k], px, py, pz, nx, ny, nz, transmissive)
+        total += _weigh(values, item, span, np.int64(tops[k]), px, py, pz, nx, ny, nz, transmissive)
     return probability * own / total

@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading import leaves
 from pointmr_engine.shading.bsdf import ashikhmin_shirley, diffuse, microfacet, sheen
 from pointmr_engine.shading.bsdf.albedo_tables import Tables, load_tables  # noqa: F401
-from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -122,6 +121,10 @@ def append(
     block = np.ascontiguousarray(leaf.block, np.float32)
     if not np.isfinite(block.sum()):
         block = np.nan_to_num(block, nan=0.0, posinf=0.0, neginf=0.0)
+    if not block.flags.writeable:
+        block = (
+            block.copy()
+        )  # a read-only array is another type to numba, for which all would compile once more
     kind = leaf.kind
     if kind in (leaves.TRANSPARENT, leaves.EMISSION, leaves.BACKGROUND, leaves.HOLDOUT):
         _append_sums(lobes, kind, rows, block[:, :3])
@@ -182,7 +185,8 @@ def append(
 def _vectors(vectors: np.ndarray | None) -> np.ndarray:
     if vectors is None:
         return _NO_VECTOR
-    return np.ascontiguousarray(np.atleast_2d(vectors), np.float32)
+    vectors = np.ascontiguousarray(np.atleast_2d(vectors), np.float32)
+    return vectors if vectors.flags.writeable else vectors.copy()
 
 
 def _append_sums(lobes: Lobes, kind: int, rows: np.ndarray, weight: np.ndarray) -> None:
@@ -286,7 +290,7 @@ def _sum(lobes, i, wi, wo, sampled):
     return diffuse_sum, glossy_sum, transmission_sum, pdf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def evaluate(lobes, i, wi, wo):
     """All lobes of point i between two directions -> (diffuse rgb, glossy rgb, transmission rgb, pdf).
 
@@ -297,7 +301,7 @@ def evaluate(lobes, i, wi, wo):
     return _sum(lobes, i, wi, wo, np.int64(-1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def sample(lobes, i, wi, u_choose, u1, u2):
     """Choose a lobe of point i and a direction -> (wo, value rgb, pdf, label, alpha, eta).
 

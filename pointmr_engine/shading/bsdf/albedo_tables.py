@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.shading.bsdf.jit import device
+from pointmr_engine.numerics.jit import device
 
 PATH = Path(__file__).with_name("tables.npz")
 ONLY = np.int64(0)  # the variant of tables that have one

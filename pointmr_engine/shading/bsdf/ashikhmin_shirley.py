@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.shading.bsdf.jit import device
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.layout import ALPHA_X, ALPHA_Y, ANISOTROPIC, NORMAL, TANGENT
 from pointmr_engine.shading.bsdf.vector import basis, combine, cross, dot, load3, normalized, to_world
 

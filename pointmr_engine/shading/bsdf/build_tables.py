@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numba import njit
 
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.albedo_tables import PATH, Tables
 from pointmr_engine.shading.bsdf.fresnel import dielectric, f0_of_ior, ior_of_f0, remap
-from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.microfacet import _visible_ggx
 from pointmr_engine.shading.bsdf.thin_film import TABLE_RANGE
 from pointmr_engine.shading.spectra import RGB_FROM_XYZ, observer

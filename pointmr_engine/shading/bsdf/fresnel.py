@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pointmr_engine.shading.bsdf.jit import device
+from pointmr_engine.numerics.jit import device
 
 
 @device

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.fresnel import dielectric, f0_of_ior, f82, remap
-from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,

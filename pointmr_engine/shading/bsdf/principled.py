@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf import diffuse
 from pointmr_engine.shading.bsdf.fresnel import f0_of_ior, f82_term, ior_of_f0
-from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -159,7 +158,7 @@ def _base_diffuse(lobes, i, wi, normal, weight, base, block, r):
         finish_diffuse(lobes, i, j)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append(
     lobes, rows, view, tables, block, normals, coat_normals, tangents, reflective, refractive, multiple
 ):

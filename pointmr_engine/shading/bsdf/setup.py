@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.albedo_tables import ONLY, lookup2, lookup3
 from pointmr_engine.shading.bsdf.fresnel import dielectric_average, f0_of_ior, f82_average, remap
-from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.albedo_tables import SHEEN_A, SHEEN_ALBEDO, SHEEN_B, lookup2
-from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import ALPHA_X, ALPHA_Y, SAMPLE, SHEEN, TANGENT, WEIGHT
 from pointmr_engine.shading.bsdf.setup import drop, finish_diffuse, push
 from pointmr_engine.shading.bsdf.vector import dot, load3, scale, store3, tangent_towards

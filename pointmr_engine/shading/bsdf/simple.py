@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf import diffuse
 from pointmr_engine.shading.bsdf.fresnel import f0_of_ior, f82_term
-from pointmr_engine.shading.bsdf.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -98,7 +97,7 @@ def _place(view, normals, block, rows, k):
     return i, r, row3(view.incoming, i), normal
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append_diffuse(lobes, rows, view, block, normals, translucent):
     """Diffuse and translucent leaves; `block` of a translucent or subsurface leaf has the weight alone."""
     for k in range(rows.shape[0]):
@@ -123,7 +122,7 @@ def append_diffuse(lobes, rows, view, block, normals, translucent):
         finish_diffuse(lobes, i, j)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append_sheen(lobes, rows, view, tables, block, normals):
     """Sheen leaves (microfibre model)."""
     for k in range(rows.shape[0]):
@@ -140,7 +139,7 @@ def _set_tangent(lobes, i, j, normal, axis, tangent, rotation):
     store3(lobes.data, i, j, TANGENT, tangent_towards(normal, tangent))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append_glossy(lobes, rows, view, tables, block, normals, tangents, reflective, modifiers, multiple):
     """Glossy leaves. modifiers: 0, BECKMANN or ASHIKHMIN_SHIRLEY; multiple: compensate lost energy."""
     base = ASHIKHMIN_SHIRLEY if modifiers == ASHIKHMIN_SHIRLEY else REFLECTION | modifiers
@@ -178,7 +177,7 @@ def append_glossy(lobes, rows, view, tables, block, normals, tangents, reflectiv
                 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append_metallic(lobes, rows, view, tables, block, normals, tangents, reflective, modifiers, multiple):
     """Metallic leaves, coloured by their f0 and the tint at 82 degrees."""
     for k in range(rows.shape[0]):
@@ -218,7 +217,7 @@ def _set_film(lobes, i, j, thickness, film_ior):
         lobes.data[i, j, FILM_IOR] = max(film_ior, 1e-5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append_glass(lobes, rows, view, tables, block, normals, reflective, refractive, modifiers, multiple):
     """Glass leaves: reflection and refraction in one lobe."""
     for k in range(rows.shape[0]):
@@ -258,7 +257,7 @@ def append_glass(lobes, rows, view, tables, block, normals, reflective, refracti
         finish_microfacet(lobes.kind[i, j], lobes.data, i, j, tables, wi, multiple, _ASK)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append_refraction(lobes, rows, view, block, normals, refractive, modifiers):
     """Refraction leaves: no reflection, nothing under total reflection."""
     for k in range(rows.shape[0]):

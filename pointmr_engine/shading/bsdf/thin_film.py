@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.fresnel import dielectric_polarized, f82
-from pointmr_engine.shading.bsdf.jit import device
 
 TABLE_RANGE = 60000.0 / (2.0 * math.pi)  # nanometres of optical path difference at the table's end
 _BOUNCES = 4  # terms of the series; higher ones are invisible

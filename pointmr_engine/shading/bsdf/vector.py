@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.shading.bsdf.jit import device
+from pointmr_engine.numerics.jit import device
 
 
 @device

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.shading.kernels.hashes import hash_words
 
 FBM, MULTIFRACTAL, HYBRID_MULTIFRACTAL, RIDGED_MULTIFRACTAL, HETERO_TERRAIN = range(5)
@@ -12,7 +12,7 @@ FBM, MULTIFRACTAL, HYBRID_MULTIFRACTAL, RIDGED_MULTIFRACTAL, HETERO_TERRAIN = ra
 DETAIL, ROUGHNESS, LACUNARITY, OFFSET, GAIN, DISTORTION = range(6)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def gradient(dimensions, h, x, y, z, w):
     """Dot product of (x, y, z, w) with the gradient that hash h chooses."""
     if dimensions == 1:
@@ -34,13 +34,13 @@ def gradient(dimensions, h, x, y, z, w):
     return (-a if h & 1 else a) + (-b if h & 2 else b) + (-third if h & 4 else third)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def fade(t):
     """Perlin's quintic."""
     return t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def perlin(dimensions, x, y, z, w):
     """Gradient noise, unscaled: the corners of the cell blended."""
     cx, cy, cz, cw = np.floor(x), np.floor(y), np.floor(z), np.floor(w)
@@ -63,14 +63,14 @@ def perlin(dimensions, x, y, z, w):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def wrap_far(p):
     """Coordinates repeat every 100000, where floats would run out of bits."""
     far = 0.5 if abs(p) >= 1e6 else 0.0
     return np.fmod(p, 100000.0) + far
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def signed_noise(dimensions, x, y, z, w):
     """Perlin noise in -1..1."""
     value = perlin(dimensions, wrap_far(x), wrap_far(y), wrap_far(z), wrap_far(w))
@@ -83,7 +83,7 @@ def signed_noise(dimensions, x, y, z, w):
     return 0.8344 * value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def fractal_sum(dimensions, x, y, z, w, detail, roughness, lacunarity, normalize):
     """Fractal Brownian motion; 0..1 where normalised."""
     scale, amplitude, most, total = 1.0, 1.0, 0.0, 0.0
@@ -102,7 +102,7 @@ def fractal_sum(dimensions, x, y, z, w, detail, roughness, lacunarity, normalize
     return 0.5 * total / most + 0.5 if normalize else total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def multifractal(kind, dimensions, x, y, z, w, detail, roughness, lacunarity, offset, gain):
     """Musgrave's fractals, by kind."""
     octaves = int(detail)
@@ -138,7 +138,7 @@ def multifractal(kind, dimensions, x, y, z, w, detail, roughness, lacunarity, of
     return value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def fractal(kind, dimensions, x, y, z, w, parameters, normalize):
     """One value of any fractal type; parameters: one row."""
     detail, roughness, lacunarity = parameters[DETAIL], parameters[ROUGHNESS], parameters[LACUNARITY]
@@ -149,7 +149,7 @@ def fractal(kind, dimensions, x, y, z, w, parameters, normalize):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def noise_texture(points, parameters, offsets, dimensions, kind, normalize, channels, out):
     """out (n, 3) float32: the texture's value, and with channels 3 its colour (whose red is the value).
 

@@ -1,0 +1,14 @@
+"""Decorators of kernels that allocate nothing."""
+
+from __future__ import annotations
+
+from numba import njit
+
+# numba counts references to every array of a NamedTuple at each call that is not inlined, on counters that all threads
+# share. Functions that only read and write arrays they were handed need no counting: small ones take half the time.
+uncounted = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+
+# The same for functions that only kernels call: without entries from Python and C they also compile much faster.
+device = njit(
+    cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
+)
