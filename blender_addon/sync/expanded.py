@@ -5,7 +5,7 @@ from __future__ import annotations
 from pointmr_engine.scene.group import VISIBLE
 
 from . import seeds, visibility
-from .geometry import has_nodes, instances_particles
+from .geometry import has_nodes, instances_particles, terminator_offset
 from .transforms import matrix
 
 
@@ -48,9 +48,9 @@ def place(sync, objects: list, rows) -> set[int]:
             # geometry nodes hand out objects that live for this step only: keep what their mesh gave
             key = ob.data.as_pointer()
             if key not in meshes:
-                mesh = sync.geometry.meshes.get(
-                    ob.data, sync.geometry.meshes.slot_materials.of_object(ob, ob.data), ob.name, stable=False
-                )
+                meshes_of = sync.geometry.meshes
+                materials = meshes_of.slot_materials.of_object(ob, ob.data)
+                mesh = meshes_of.get(ob.data, materials, ob.name, False, terminator_offset(ob))
                 meshes[key] = sync.geometry.group_of_mesh(mesh)
             group = meshes[key]
             own = None if group is None else sync.geometry.placed(ob, group)

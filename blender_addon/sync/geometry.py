@@ -89,7 +89,9 @@ class GeometrySync:
         kind = ob.type
         meshes, clouds = [], []
         if kind == "MESH":
-            mesh = self.meshes.get(ob.data, self.slots.of_object(ob, ob.data), ob.name)
+            mesh = self.meshes.get(
+                ob.data, self.slots.of_object(ob, ob.data), ob.name, True, terminator_offset(ob)
+            )
             extra = self._hair(ob)
             gs = self.geometry_set(ob) if makes_geometry(ob) else None
             if gs is not None and gs.pointcloud is not None:
@@ -108,6 +110,7 @@ class GeometrySync:
             key = (
                 kind,
                 ob.data.as_pointer(),
+                terminator_offset(ob),
                 *(s.material.as_pointer() for s in ob.material_slots if s.material),
             )
             plain = kind != "META" and not len(ob.modifiers)
@@ -165,7 +168,9 @@ class GeometrySync:
         if mesh is None:
             return None
         try:
-            return self.meshes.get(mesh, self.slots.of_object(ob, mesh), ob.name, stable=False)
+            return self.meshes.get(
+                mesh, self.slots.of_object(ob, mesh), ob.name, False, terminator_offset(ob)
+            )
         finally:
             ob.to_mesh_clear()
 
@@ -174,7 +179,8 @@ class GeometrySync:
         data = gs.mesh
         if data is None:
             return []
-        mesh = self.meshes.get(data, self.slots.of_data(data), owner.name, stable=False)
+        offset = terminator_offset(owner)
+        mesh = self.meshes.get(data, self.slots.of_data(data), owner.name, False, offset)
         return [] if mesh is None else [mesh]
 
     def _hair(self, ob) -> list:
@@ -217,6 +223,11 @@ class GeometrySync:
     def keep(self, gs) -> None:
         """Keep a nested geometry set alive: its meshes die with it."""
         self._kept.append(gs)
+
+
+def terminator_offset(ob) -> float:
+    """scene.mesh.Mesh.terminator_offset of an object's meshes."""
+    return float(getattr(ob, "shadow_terminator_geometry_offset", 0.1))
 
 
 def is_missing(block) -> bool:

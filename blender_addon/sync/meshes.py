@@ -63,12 +63,19 @@ class MeshSync:
         self._bare: dict[int, tuple[Mesh | None, dict]] = {}
         self._made: dict[tuple, Mesh | None] = {}
 
-    def get(self, mesh, materials: tuple, owner: str, stable: bool = True) -> Mesh | None:
+    def get(
+        self, mesh, materials: tuple, owner: str, stable: bool = True, terminator_offset: float = 0.0
+    ) -> Mesh | None:
         """The engine's mesh for a bpy Mesh with these bpy Materials, None (and a warning) if nothing can be rendered.
 
         owner: the object's name, for messages. stable: the mesh lives as long as the export, and can be known again.
+        terminator_offset: that of the object.
         """
-        key = (mesh.as_pointer(), tuple(m.as_pointer() if m is not None else 0 for m in materials))
+        key = (
+            mesh.as_pointer(),
+            tuple(m.as_pointer() if m is not None else 0 for m in materials),
+            terminator_offset,
+        )
         if stable and key in self._made:
             return self._made[key]
         self.watch.poll()
@@ -85,7 +92,12 @@ class MeshSync:
             index = bare.material_index
             if index is not None and len(materials) <= int(index.max(initial=0)):
                 index = np.minimum(index, len(materials) - 1)
-            result = replace(bare, materials=self.slot_materials.engine(materials), material_index=index)
+            result = replace(
+                bare,
+                materials=self.slot_materials.engine(materials),
+                material_index=index,
+                terminator_offset=terminator_offset,
+            )
         if stable:
             self._made[key] = result
         return result

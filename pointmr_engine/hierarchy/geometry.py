@@ -35,6 +35,7 @@ class PartTables(NamedTuple):
     slots: np.ndarray  # (P,) int32, at least 1
     slot_material: np.ndarray  # (slots,) int32 index into Geometry.materials
     generated: np.ndarray  # (P, 2, 3) float64, the box of generated coordinates
+    terminator_offset: np.ndarray  # (P,) float32, 0 where shadow rays start on the triangles
 
 
 class BatchTables(NamedTuple):
@@ -233,6 +234,7 @@ def _part_tables(geometry: Geometry) -> PartTables:
                 geometry.materials.append(material)
             rows["slot_material"].append(material_of[id(material)])
         box = np.stack([shape.lower, shape.upper]) if mesh.generated is None else np.asarray(mesh.generated)
+        rows["terminator_offset"].append(0.0 if mesh.normals is None else mesh.terminator_offset)
         rows["generated"].append(np.where(np.isfinite(box), box, 0.0))
     return PartTables(
         shape=np.array(rows["shape"], np.int32),
@@ -248,6 +250,7 @@ def _part_tables(geometry: Geometry) -> PartTables:
         slots=np.array(rows["slots"], np.int32),
         slot_material=np.array(rows["slot_material"], np.int32),
         generated=np.array(rows["generated"], np.float64).reshape(-1, 2, 3),
+        terminator_offset=np.array(rows["terminator_offset"], np.float32),
     )
 
 

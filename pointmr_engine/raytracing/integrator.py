@@ -23,6 +23,7 @@ from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits
 from pointmr_engine.raytracing.shade import Shader, allocate_view, fill_view
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, allocate_ray_state, frames
+from pointmr_engine.raytracing.terminator import raise_origins
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
@@ -72,6 +73,7 @@ class Workspace:
             self.shadows = direct_light.allocate_shadow_rays(n)
             self.shadow_hits = allocate_hits(n)
             self.waiting = np.zeros(n, np.int32)
+            self.raises = bool(stage.shader.geometry.tables.terminator_offset.any())
         if stage.needs.transparent_shadows and stage.needs.light_samples:
             self.shadow_frames = allocate_frames(n)
             self.shadow_state = allocate_ray_state(n, camera_from_world)
@@ -253,6 +255,8 @@ class Workspace:
         count = direct_light.connect(
             now, self.hits, self.frames, lobes, stage.limits, chosen, self.lit_rows, m, self.shadows
         )
+        if self.raises and count:
+            self.raise_origins(count)
         while count:
             walk.shadow(stage.acceleration, self.shadows.rays, self.shadow_hits, 0, count)
             self.counters["shadow_rays"] += count
@@ -260,6 +264,11 @@ class Workspace:
                 self.shadows, self.shadow_hits, self.samples, stage.limits.transparent, count, self.waiting
             )
             count = self._pass_through(now, left) if left else 0
+
+    def raise_origins(self, count: int) -> None:
+        raise_origins(
+            self.stage.shader.geometry.tables, self.hits, self.frames, self.lobes.normal, self.shadows, count
+        )
 
     def _pass_through(self, now, left: int) -> int:
         """Dim the waiting shadow rays by their surfaces; returns how many go on."""

@@ -10,7 +10,9 @@ from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.material import Material
 
 DOMAINS = ("vertex", "corner", "face", "constant")
-GENERATED = ".generated"  # attribute (V, 3) per vertex: "generated" coordinates that no box gives, of a deformed mesh
+GENERATED = (
+    ".generated"  # attribute (V, 3) per vertex: "generated" coordinates that no box gives, of a deformed mesh
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,8 @@ class Mesh:
     (colour attributes are linear RGBA); material_index (T,) int32 into `materials`, None meaning all 0.
     generated: (2, 3) float64, the box (lower, upper) that maps to 0..1 in "generated" texture coordinates;
     None takes the bounding box; the attribute GENERATED overrides it.
+    terminator_offset: 0 to 1, the cosine between light and surface below which shadow rays from smooth triangles start
+    above them, on the rounder surface that the normals suggest; 0: never.
     Meshes that share the same arrays share one acceleration structure.
     """
 
@@ -46,6 +50,7 @@ class Mesh:
     materials: tuple[Material | None, ...] = ()
     active_uv: str | None = None
     generated: np.ndarray | None = None
+    terminator_offset: float = 0.0
 
     def validate(self) -> list[str]:
         """Raise SceneError for what cannot be read; return warnings for what is tolerated (and will be skipped)."""
@@ -62,7 +67,9 @@ class Mesh:
             raise SceneError(f"mesh '{self.name}': normals of shape {n.shape}; expected (V, 3) or (T, 3, 3)")
         for name, uv in self.uvs.items():
             if uv.shape != (len(t), 3, 2):
-                raise SceneError(f"mesh '{self.name}': UV layer '{name}' has shape {uv.shape}, expected {(len(t), 3, 2)}")
+                raise SceneError(
+                    f"mesh '{self.name}': UV layer '{name}' has shape {uv.shape}, expected {(len(t), 3, 2)}"
+                )
         counts = {"vertex": len(p), "corner": 3 * len(t), "face": len(t), "constant": 1}
         for name, a in self.attributes.items():
             if a.domain not in counts:

@@ -71,6 +71,19 @@ def test_normals_flat_smooth_and_mixed(scene):
     assert flat.sum() == 2 * 4  # the odd ones of nine quads
 
 
+def test_terminator_offsets_are_the_objects(scene):
+    """Objects that share a mesh share its arrays, whatever their offsets."""
+    mesh = b.bumpy("shared")
+    for name, offset in (("a", None), ("b", 0.0), ("c", 0.4)):
+        ob = b.add(name, mesh)
+        if offset is not None:
+            ob.shadow_terminator_geometry_offset = offset
+    result = placements.with_depsgraph(lambda d: sync.export(d))
+    meshes = [m for g in unique_groups(result.root) for m in g.meshes]
+    assert sorted(m.terminator_offset for m in meshes) == pytest.approx([0.0, 0.1, 0.4])
+    assert len({id(m.positions) for m in meshes}) == 1
+
+
 def test_material_slots_and_indices(scene):
     mesh = b.bumpy("m", 2)
     for name in ("one", "two"):

@@ -1,0 +1,120 @@
+"""Smooth shading on coarse triangles: shadow rays near the terminator start on the surface that the normals suggest.
+
+Where the light grazes, flat triangles shadow themselves in facets that smooth shading hides everywhere else. Such rays
+are raised into the hull of the corners' tangent planes, and at least half way to the parabolic patch through them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def share_of_height(cos_shading, cos_geometric, cutoff):
+    """How far a ray is raised, 0..1, by its cosines to both normals: from 1 at grazing light smoothly to 0."""
+    if cos_shading < cutoff:
+        share = 2.0 - (cos_geometric + cos_shading) / cutoff
+    else:
+        share = 1.0 - cos_geometric / cutoff
+    return min(max(share, 0.0), 1.0)
+
+
+@_jit
+def _difference_along(normals, k, points, i, j):
+    """Dot product of normal k with points[i] - points[j]."""
+    total = 0.0
+    for a in range(3):
+        total += normals[k, a] * (points[i, a] - points[j, a])
+    return total
+
+
+@_jit
+def height(corners, normals, side, u, v, w):
+    """Height of the smooth surface over the flat triangle, in units of the interpolated normal (not unit length).
+
+    corners, normals (4, 3) float64: of the triangle, and row 3 for room: the point goes there. side: 1.0 for the side
+    that the normals point to, -1.0 for the other, where the height is negative. u, v, w: weights of corners 0, 1, 2.
+    """
+    for a in range(3):
+        corners[3, a] = u * corners[0, a] + v * corners[1, a] + w * corners[2, a]
+    bend_02 = _difference_along(normals, 2, corners, 0, 2) - _difference_along(normals, 0, corners, 0, 2)
+    bend_12 = _difference_along(normals, 2, corners, 1, 2) - _difference_along(normals, 1, corners, 1, 2)
+    bend_01 = _difference_along(normals, 1, corners, 1, 0) - _difference_along(normals, 0, corners, 1, 0)
+    parabola = bend_02 * u * (u - 1.0) + (bend_02 + bend_12 + bend_01) * u * v + bend_12 * v * (v - 1.0)
+    envelope = math.inf
+    for k in range(3):
+        reach = 0.0
+        for j in range(3):
+            reach = max(reach, side * _difference_along(normals, k, corners, j, k))
+        envelope = min(envelope, max(side * _difference_along(normals, k, corners, k, 3) + reach, 0.0))
+    return side * max(envelope, 0.5 * side * parabola)
+
+
+@_jit
+def raise_origins(tables, hits, frames, shading_normal, shadows, n):
+    """Move the origins of shadow rays 0..n that start on smooth triangles in grazing light; their ends stay.
+
+    shading_normal (N, 3): on the viewer's side, per path. A ray that goes below its triangle may meet it then.
+    """
+    corners, normals = np.zeros((4, 3)), np.zeros((4, 3))
+    rays = shadows.rays
+    for i in range(n):
+        k = np.int64(shadows.source[i])
+        p = hits.part[k]
+        cutoff = np.float64(tables.terminator_offset[p])
+        if not cutoff > 0.0 or tables.normals[p] == 0 or rays.t_max[i] == 0.0:
+            continue
+        cos_shading, cos_geometric = 0.0, 0.0
+        for a in range(3):
+            cos_shading += rays.direction[i, a] * shading_normal[k, a]
+            cos_geometric += rays.direction[i, a] * frames.geometric_normal[k, a]
+        front = frames.backfacing[k] == (cos_shading < 0.0)  # the light is where geometric_normal points
+        share = share_of_height(abs(cos_shading), cos_geometric if front else -cos_geometric, cutoff)
+        if share == 0.0:
+            continue
+        t = np.int64(hits.triangle[k]) - tables.first_triangle[p]
+        triangles, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+        values = pointer_f32(tables.normals[p])
+        for c in range(3):
+            vertex = np.int64(triangles[3 * t + c])
+            normal = 3 * t + c if tables.normals_per_corner[p] else vertex
+            for a in range(3):
+                corners[c, a] = positions[3 * vertex + a]
+                normals[c, a] = values[3 * normal + a]
+        v, w = np.float64(hits.u[k]), np.float64(hits.v[k])
+        u = 1.0 - v - w
+        m = hits.world_from_part[k]
+        up = 0.0  # the interpolated normal's cosine to the side of the light, times something positive
+        for r in range(3):
+            x = 0.0
+            for a in range(3):
+                normals[3, a] = u * normals[0, a] + v * normals[1, a] + w * normals[2, a]
+                x += m[r, a] * normals[3, a]
+            up += x * frames.geometric_normal[k, r]
+        side = 1.0 if (up > 0.0) == front else -1.0
+        h = share * height(corners, normals, side, u, v, w)
+        length = rays.t_max[i]
+        far = length < math.inf
+        squared = 0.0
+        for r in range(3):
+            step = 0.0
+            for a in range(3):
+                step += h * m[r, a] * normals[3, a]
+            rays.origin[i, r] += step
+            if far:
+                rays.direction[i, r] = rays.direction[i, r] * length - step
+                squared += rays.direction[i, r] * rays.direction[i, r]
+        if far:
+            distance = math.sqrt(squared)
+            rays.t_max[i] = distance
+            for r in range(3):
+                rays.direction[i, r] /= distance
+        if (cos_geometric > 0.0) != front:
+            rays.skip_triangle[i] = -1
