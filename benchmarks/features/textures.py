@@ -148,12 +148,10 @@ def texture_alpha_modes():
             texture = node(tree, "ShaderNodeTexImage", image=picture)
             if not linked:
                 return texture.outputs[0]
-            none = node(
-                tree, "ShaderNodeMath", {0: texture.outputs[1], 1: 0.0}, operation="MULTIPLY"
-            ).outputs[0]
-            return node(
-                tree, "ShaderNodeVectorMath", {0: texture.outputs[0], 1: none}, operation="ADD"
-            ).outputs[0]
+            # a little of the alpha, linked: with a factor of 0 the link would be folded away
+            little = node(tree, "ShaderNodeMath", {0: texture.outputs[1], 1: 1e-6}, operation="MULTIPLY")
+            both = {0: texture.outputs[0], 1: little.outputs[0]}
+            return node(tree, "ShaderNodeVectorMath", both, operation="ADD").outputs[0]
 
         return _diffuse("Alpha", color)
 
