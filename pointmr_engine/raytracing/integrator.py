@@ -29,7 +29,7 @@ from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.points import RAY_SHADOW
 
-BATCH = 32768  # paths that move together: enough to make numpy's overhead small, few enough for the cache
+BATCH = 65536  # paths that move together: enough to make numpy's overhead small, few enough for the cache
 
 
 @dataclass(eq=False)
@@ -81,16 +81,9 @@ class Workspace:
 
     def render_tile(self, tile: film.TileSums, first: int, count: int) -> None:
         """Add samples first..first+count of all the tile's pixels to its sums. At most `size` paths."""
-        stage = self.stage
-        x0, y0, x1, y1 = (int(v) for v in tile.bounds)
-        n = total = paths.lay_out(self.samples, x0, y0, x1, y1, first, count)
+        n = total = self.start(*(int(v) for v in tile.bounds), first, count)
         now, then = self.queues
-        paths.start_paths(now, n)
         s = self.samples
-        sample_rays(
-            stage.camera, stage.tables, stage.settings.seed, s.x, s.y, s.number,
-            now.rays, s.seed, now.state.width, now.state.spread, 0, n,
-        )  # fmt: skip
         self.counters["camera_rays"] += n
         bounce = 0
         while n:
@@ -120,30 +113,83 @@ class Workspace:
         fill_view(now.rays, state.kind, surface, self.view, n)
         stage.shader.lobes_at(now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes)
         self.counters["shaded_points"] += int(alive.sum())
-        paths.hold_out(now, self.samples, hits, self.lobes, alive, n)
+        if self.lobes.holdout[:n].any() or (alive & hits.holdout[:n]).any():
+            self.hold_out(now, n, alive)
         self._emission(tile, now, rays, n, alive)
         if bounce <= stage.limits.transparent and stage.needs.surface_passes:
             self._surface_passes(tile, now, n, alive)
-        paths.finish_final(now.flags, self.lobes.count, self.lobes.flags, alive, n)
-        paths.roulette(
-            now.throughput, state.depth, now.flags, now.slot, self.samples.seed, self.samples.number,
-            stage.tables, bounce, alive, n,
-        )  # fmt: skip
+        self.finish(now, n, alive)
+        if bounce:  # until then nothing is weak
+            self.roulette(now, n, alive, bounce)
         if stage.needs.light_samples:
             self._direct_light(now, n, alive, bounce)
-        paths.scatter(now, self.samples, self.lobes, stage.tables, bounce, alive, n, self.scattered)
-        return paths.move(
-            now,
-            hits,
-            surface,
-            self.scattered,
-            self.lobes.normal,
-            self.lobes.flags,
-            stage.limits,
-            alive,
-            then,
-            n,
+        self.scatter(now, n, alive, bounce)
+        return self.move(now, then, n, alive)
+
+    # Stages of their own: a second process compiles them by calling them for no paths at all.
+
+    def start(self, x0: int, y0: int, x1: int, y1: int, first: int, count: int) -> int:
+        """Camera paths of a tile's samples, in the first queue; returns how many."""
+        n = paths.lay_out(self.samples, x0, y0, x1, y1, first, count)
+        stage, s, now = self.stage, self.samples, self.queues[0]
+        paths.start_paths(now, n)
+        sample_rays(
+            stage.camera, stage.tables, stage.settings.seed, s.x, s.y, s.number,
+            now.rays, s.seed, now.state.width, now.state.spread, 0, n,
+        )  # fmt: skip
+        return n
+
+    def hold_out(self, now, n: int, alive) -> None:
+        paths.hold_out(now, self.samples, self.hits, self.lobes, alive, n)
+
+    def finish(self, now, n: int, alive) -> None:
+        paths.finish_final(now.flags, self.lobes.count, self.lobes.flags, alive, n)
+
+    def roulette(self, now, n: int, alive, bounce: int) -> None:
+        paths.roulette(
+            now.throughput, now.state.depth, now.flags, now.slot, self.samples.seed, self.samples.number,
+            self.stage.tables, bounce, alive, n,
+        )  # fmt: skip
+
+    def choose_points(self, now, n: int, alive, bounce: int) -> int:
+        return direct_light.choose_points(
+            now, self.samples, self.lobes, self.frames, self.stage.tables, bounce, alive, n, self.lit_rows,
+            self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u,
+        )  # fmt: skip
+
+    def sample_lights(self, m: int) -> LightSamples:
+        chosen = LightSamples(*(a[:m] for a in self.light_samples))
+        self.stage.lights.sample(
+            self.lit_position[:m], self.lit_normal[:m], self.lit_transmissive[:m], self.lit_u[:m], chosen
         )
+        return chosen
+
+    def connect(self, now, m: int, chosen: LightSamples) -> int:
+        return direct_light.connect(
+            now, self.hits, self.frames, self.lobes, self.stage.limits, chosen, self.lit_rows, m, self.shadows
+        )
+
+    def raise_origins(self, count: int) -> None:
+        raise_origins(
+            self.stage.shader.geometry.tables, self.hits, self.frames, self.lobes.normal, self.shadows, count
+        )
+
+    def settle(self, count: int) -> int:
+        return direct_light.settle(
+            self.shadows, self.shadow_hits, self.samples, self.stage.limits.transparent, count, self.waiting
+        )
+
+    def dim(self, waiting, left: int, share) -> int:
+        return direct_light.dim(self.shadows, self.shadow_hits, self.shadow_frames, waiting, left, share)
+
+    def scatter(self, now, n: int, alive, bounce: int) -> None:
+        paths.scatter(now, self.samples, self.lobes, self.stage.tables, bounce, alive, n, self.scattered)
+
+    def move(self, now, then, n: int, alive) -> int:
+        return paths.move(
+            now, self.hits, self.frames, self.scattered, self.lobes.normal, self.lobes.flags,
+            self.stage.limits, alive, then, n,
+        )  # fmt: skip
 
     def _met_lights(self, now, rays: Rays, n: int, alive, bounce: int) -> None:
         """Lamps that the rays pass, and the world where they hit nothing."""
@@ -240,35 +286,20 @@ class Workspace:
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
         """One light sample for each point that can use one, and the shadow rays to it."""
-        stage, lights, lobes = self.stage, self.stage.lights, self.lobes
-        m = direct_light.choose_points(
-            now, self.samples, lobes, self.frames, stage.tables, bounce, alive, n, self.lit_rows,
-            self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u,
-        )  # fmt: skip
+        stage = self.stage
+        m = self.choose_points(now, n, alive, bounce)
         if not m:
             return
-        chosen = LightSamples(*(a[:m] for a in self.light_samples))
-        lights.sample(
-            self.lit_position[:m], self.lit_normal[:m], self.lit_transmissive[:m], self.lit_u[:m], chosen
-        )
-        lights.emission_at(chosen)
-        count = direct_light.connect(
-            now, self.hits, self.frames, lobes, stage.limits, chosen, self.lit_rows, m, self.shadows
-        )
+        chosen = self.sample_lights(m)
+        stage.lights.emission_at(chosen)
+        count = self.connect(now, m, chosen)
         if self.raises and count:
             self.raise_origins(count)
         while count:
             walk.shadow(stage.acceleration, self.shadows.rays, self.shadow_hits, 0, count)
             self.counters["shadow_rays"] += count
-            left = direct_light.settle(
-                self.shadows, self.shadow_hits, self.samples, stage.limits.transparent, count, self.waiting
-            )
+            left = self.settle(count)
             count = self._pass_through(now, left) if left else 0
-
-    def raise_origins(self, count: int) -> None:
-        raise_origins(
-            self.stage.shader.geometry.tables, self.hits, self.frames, self.lobes.normal, self.shadows, count
-        )
 
     def _pass_through(self, now, left: int) -> int:
         """Dim the waiting shadow rays by their surfaces; returns how many go on."""
@@ -287,7 +318,7 @@ class Workspace:
         share = stage.shader.transparency_at(
             self.shadows.rays, state, self.shadow_hits, self.shadow_frames, rows
         )
-        return direct_light.dim(self.shadows, self.shadow_hits, self.shadow_frames, waiting, left, share)
+        return self.dim(waiting, left, share)
 
 
 def _sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
