@@ -16,6 +16,7 @@ import numpy as np
 from pointmr_engine.image.frame import Frame
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
+from pointmr_engine.warm import Helper, describe
 
 TILE_SIZES = (64, 32, 16)
 
@@ -93,13 +94,17 @@ def render(
         settings = replace(settings, samples=1)
     filtered = settings.method == "conventional"  # else the pixel's many rays do it
     compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
-    if compiled is None:
-        compiled = _compile(scene, filtered, clock)
-        if cache is not None:
-            cache.keep(scene, filtered, compiled)
-    stage = _prepare(scene, compiled, settings, clock)
-    clock.phase("rendering")
-    frame, counters = _render_tiles(stage, settings, clock)
+    helper = Helper()
+    try:
+        if compiled is None:
+            compiled = _compile(scene, filtered, settings, clock, helper)
+            if cache is not None:
+                cache.keep(scene, filtered, compiled)
+        stage = _prepare(scene, compiled, settings, clock)
+        clock.phase("rendering")
+        frame, counters = _render_tiles(stage, settings, clock)
+    finally:
+        helper.stop()
     clock.phase("done")
     geometry = stage.shader.geometry
     frame.stats.update(
@@ -137,7 +142,9 @@ class _Clock:
             raise Cancelled("the render was cancelled")
 
 
-def _compile(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
+def _compile(
+    scene: Scene, filtered: bool, settings: RenderSettings, clock: _Clock, helper: Helper
+) -> Compiled:
     """Compile what neither camera nor settings change."""
     from pointmr_engine.scene.material import Material
     from pointmr_engine.shading.program import compile_graph
@@ -145,6 +152,7 @@ def _compile(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
     clock.phase("checking the scene")
     warnings = scene.validate()
     clock.phase("loading kernels")
+    helper.start()
     from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
     from pointmr_engine.hierarchy.geometry import compile_geometry
     from pointmr_engine.raytracing.lights import build_lights
@@ -157,6 +165,7 @@ def _compile(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
         program = compile_graph((material or plain).graph, filtered=filtered)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
+    helper.begin(describe(scene, programs, settings))
     clock.phase("building hierarchies")
     acceleration = build_acceleration(geometry, progress=clock.tell)
     acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
@@ -171,23 +180,13 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
     from pointmr_engine.needs import decide_needs
     from pointmr_engine.raytracing.camera import compile_camera
     from pointmr_engine.raytracing.integrator import Stage
-    from pointmr_engine.raytracing.paths import Limits
+    from pointmr_engine.raytracing.paths import limits_of
     from pointmr_engine.raytracing.shade import Shader
     from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 
     geometry, programs, acceleration, lights, _ = compiled
     camera = compile_camera(scene.camera, settings)
     needs = decide_needs(programs, lights, settings, lens=bool(camera.lens[0] > 0.0))
-    limits = Limits(
-        settings.max_bounces,
-        settings.diffuse_bounces,
-        settings.glossy_bounces,
-        settings.transmission_bounces,
-        settings.transparent_max_bounces,
-        float(settings.clamp_direct),
-        float(settings.clamp_indirect),
-        float(1.0 / np.sqrt(settings.samples)),
-    )
     index = [0 if m is None else m.pass_index for m in geometry.materials]
     return Stage(
         acceleration,
@@ -196,7 +195,7 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
         camera,
         settings,
         needs,
-        limits,
+        limits_of(settings),
         np.array(index, np.int32),
     )
 

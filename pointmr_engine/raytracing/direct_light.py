@@ -61,8 +61,9 @@ def choose_points(
         if not alive[k] or not lobes.flags[k] & HAS_EVALUATION or paths.flags[k] & FINAL:
             continue
         rows[m] = k
-        position[m] = frames.position[k]
-        normal[m] = lobes.normal[k]
+        for a in range(3):  # rows at once would take numba longer to compile, here and below
+            position[m, a] = frames.position[k, a]
+            normal[m, a] = lobes.normal[k, a]
         transmissive[m] = (lobes.flags[k] & HAS_TRANSMISSION) != 0
         slot = paths.slot[k]
         u0, u1, u2, _ = sample_4d(tables, samples.seed[slot], 2 * bounce + 1, samples.number[slot])
@@ -156,8 +157,9 @@ def dim(shadows: ShadowRays, hits: Hits, frames, waiting, m, share):
         shadows.source[n] = shadows.source[i]
         shadows.passed[n] = shadows.passed[i] + 1
         rays = shadows.rays
-        rays.origin[n] = rays.origin[i]
-        rays.direction[n] = rays.direction[i]
+        for a in range(3):
+            rays.origin[n, a] = rays.origin[i, a]
+            rays.direction[n, a] = rays.direction[i, a]
         rays.t_min[n] = hits.t[i] + frames.offset[i]
         rays.t_max[n] = rays.t_max[i]
         rays.visibility[n] = rays.visibility[i]

@@ -67,7 +67,8 @@ def frames_of(tables, samples, outgoing, out):
     corner = np.empty((3, 3))
     local = np.empty(3)
     normals_to_world = np.empty((3, 3))
-    up = np.array((0.0, 0.0, 1.0))
+    up = np.zeros(3, np.float32)
+    up[2] = 1.0
     for n in range(len(samples.part)):
         triangle, p = np.int64(samples.triangle[n]), samples.part[n]
         if triangle < 0:
@@ -113,7 +114,8 @@ def frames_of(tables, samples, outgoing, out):
             geometric,
         )
         if tables.normals[p] == 0:
-            out.smooth_normal[n] = geometric
+            for axis in range(3):  # a row at once would take numba seconds more to compile
+                out.smooth_normal[n, axis] = geometric[axis]
         else:
             values = pointer_f32(tables.normals[p])
             a, b, c = 3 * t, 3 * t + 1, 3 * t + 2

@@ -13,6 +13,7 @@ from pointmr_engine.numerics.rng import sample_1d, sample_4d
 from pointmr_engine.raytracing.rays import Rays, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_ray_state
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading.bsdf.layout import (
     HAS_TRANSMISSION,
     LABEL_DIFFUSE,
@@ -92,6 +93,20 @@ class Limits(NamedTuple):
     lobe_spread: float  # how much of a lobe's width one of its rays stands for
 
 
+def limits_of(settings: RenderSettings) -> Limits:
+    """The limits that a render's settings set."""
+    return Limits(
+        settings.max_bounces,
+        settings.diffuse_bounces,
+        settings.glossy_bounces,
+        settings.transmission_bounces,
+        settings.transparent_max_bounces,
+        float(settings.clamp_direct),
+        float(settings.clamp_indirect),
+        1.0 / math.sqrt(settings.samples),
+    )
+
+
 def allocate_paths(n: int, camera_from_world: np.ndarray | None = None) -> Paths:
     """Room for n paths."""
     return Paths(
@@ -124,42 +139,40 @@ def allocate_scattered(n: int) -> Scattered:
     return Scattered(np.zeros((n, 3)), np.zeros(n), np.zeros(n, np.uint8), np.zeros(n, np.float32))
 
 
-@_jit
-def lay_out(samples: Samples, x0, y0, x1, y1, first, count):
+def lay_out(samples: Samples, x0: int, y0: int, x1: int, y1: int, first: int, count: int) -> int:
     """Samples first..first+count of every pixel of a tile, pixel by pixel; returns how many."""
-    n = np.int64(0)
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            for s in range(first, first + count):
-                samples.pixel[n] = (y - y0) * (x1 - x0) + x - x0
-                samples.x[n] = x
-                samples.y[n] = y
-                samples.number[n] = s
-                samples.radiance[n, :] = 0.0
-                samples.transparency[n] = 0.0
-                n += 1
+    width, pixels = x1 - x0, (x1 - x0) * (y1 - y0)
+    n = pixels * count
+    pixel = np.repeat(np.arange(pixels, dtype=np.int32), count)
+    samples.pixel[:n] = pixel
+    samples.x[:n] = pixel % width + x0
+    samples.y[:n] = pixel // width + y0
+    samples.number[:n] = np.tile(np.arange(first, first + count, dtype=np.int32), pixels)
+    samples.radiance[:n] = 0.0
+    samples.transparency[:n] = 0.0
     return n
 
 
-@_jit
-def start_paths(paths: Paths, n):
+def start_paths(paths: Paths, n: int) -> None:
     """Fresh camera paths 0..n; rays, width and spread are filled by the camera."""
-    for k in range(n):
-        paths.throughput[k, :] = np.float32(1)
-        paths.bsdf_pdf[k] = math.inf
-        paths.origin_normal[k, :] = np.float32(0)
-        paths.origin_transmissive[k] = False
-        paths.flags[k] = BACKDROP
-        paths.slot[k] = k
-        paths.rays.visibility[k] = CAMERA
-        state = paths.state
-        state.kind[k] = RAY_CAMERA
-        state.depth[k] = 0
-        state.diffuse_depth[k] = 0
-        state.glossy_depth[k] = 0
-        state.transmission_depth[k] = 0
-        state.transparent_depth[k] = 0
-        state.length[k] = 0
+    paths.throughput[:n] = 1.0
+    paths.bsdf_pdf[:n] = math.inf
+    paths.origin_normal[:n] = 0.0
+    paths.origin_transmissive[:n] = False
+    paths.flags[:n] = BACKDROP
+    paths.slot[:n] = np.arange(n)
+    paths.rays.visibility[:n] = CAMERA
+    state = paths.state
+    state.kind[:n] = RAY_CAMERA
+    for values in (
+        state.depth,
+        state.diffuse_depth,
+        state.glossy_depth,
+        state.transmission_depth,
+        state.transparent_depth,
+        state.length,
+    ):
+        values[:n] = 0
 
 
 @_jit
@@ -203,15 +216,18 @@ def hold_out(paths: Paths, samples: Samples, hits, lobes, alive, n):
                 covered += (1.0 - min(float(clear[c]), 1.0)) * t[c] / 3.0
             lobes.count[k] = 0
             lobes.flags[k] = 0
-            lobes.emission[k, :] = 0.0
+            for c in range(3):
+                lobes.emission[k, c] = 0.0
         elif lobes.holdout[k] > 0.0:
             covered = lobes.holdout[k] * (float(t[0]) + float(t[1]) + float(t[2])) / 3.0
         else:
             continue
         samples.transparency[paths.slot[k]] += covered
-        if lobes.count[k] == 0 and lobes.transparency[k].max() <= 0.0:
-            if lobes.emission[k].max() <= 0.0:
-                alive[k] = False
+        left = 0.0
+        for c in range(3):
+            left = max(left, float(lobes.transparency[k, c]), float(lobes.emission[k, c]))
+        if lobes.count[k] == 0 and left <= 0.0:
+            alive[k] = False
 
 
 @_jit
@@ -230,7 +246,8 @@ def average_normals(lobes, rows, out):
         if size > 0.0:
             out[i, 0], out[i, 1], out[i, 2] = x / size, y / size, z / size
         else:
-            out[i] = lobes.normal[k]
+            for c in range(3):
+                out[i, c] = lobes.normal[k, c]
 
 
 @_jit
