@@ -2,7 +2,7 @@
 
     .venv/bin/python scenes_blend/build_forest_1e15.py [FOLDER]
 
-needle or leaf -> shoot or twig -> spray or branch -> limb -> tree -> grove (32 m) -> stand (384 m) -> landscape (90 km).
+needle or leaf -> shoot or twig -> spray or branch -> limb -> tree -> grove (32 m) -> stand (384 m) -> land (90 km).
 Shoots and twigs are placed by geometry nodes; from limbs upward PointMR's instancer places collections, which Blender
 would expand. Trees near the camera stand on the terrain one by one, groves follow to 3 km, stands to 45 km.
 """
@@ -12,198 +12,10 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import plants
-from parts import Nodes, add, camera, collection, grid_faces, material, mesh, new_scene, save, target_folder
+from forest_land import FAR, GROVE, MIDDLE, NEAR, STAND, TREE_LINE, height, noise, slopes, terrain_mesh
+from forest_looks import bark, ground_material, leaf, rock_material, sky, water_material
+from parts import add, camera, collection, mesh, new_scene, save, target_folder
 from plants import scatter
-
-NEAR, MIDDLE, FAR = 450.0, 3300.0, 45000.0  # how far trees, groves and stands reach, in metres
-GROVE, STAND = 32.0, 384.0  # sides of the tiles, in metres
-TREE_LINE = 1150.0
-HAZE = (0.46, 0.63, 0.90)
-
-
-# Terrain
-
-
-def _lattice(ix, iy, seed):
-    h = (ix.astype(np.int64) * 374761393 + iy.astype(np.int64) * 668265263 + seed * 144665) & 0xFFFFFFFF
-    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
-    return ((h ^ (h >> 16)) & 0xFFFF) / 65535.0 * 2 - 1
-
-
-def noise(x, y, seed):
-    """Smooth value noise in -1..1 on the unit lattice."""
-    ix, iy = np.floor(x), np.floor(y)
-    u, v = x - ix, y - iy
-    u, v = u * u * u * (u * (u * 6 - 15) + 10), v * v * v * (v * (v * 6 - 15) + 10)
-    a, b = _lattice(ix, iy, seed), _lattice(ix + 1, iy, seed)
-    c, d = _lattice(ix, iy + 1, seed), _lattice(ix + 1, iy + 1, seed)
-    return (a + (b - a) * u) * (1 - v) + (c + (d - c) * u) * v
-
-
-def smoothstep(a, b, x):
-    t = np.clip((x - a) / (b - a), 0, 1)
-    return t * t * (3 - 2 * t)
-
-
-def height(x, y):
-    """Height of the ground in metres; water lies at 0."""
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    r = np.hypot(x, y)
-    near = smoothstep(60, 700, r)
-    h = 42 + 16 * noise(x / 420, y / 420, 1) * near + 55 * noise(x / 1300, y / 1300, 2) * near
-    far = smoothstep(2200, 9000, r)
-    h += far * (150 + 230 * noise(x / 4300, y / 4300, 3) + 60 * noise(x / 1700, y / 1700, 4))
-    ridge = 1 - np.abs(noise(x / 9000 + 0.35, y / 9000 + 0.2, 5))
-    fine = 1 - np.abs(noise(x / 3300, y / 3300, 6))
-    peaks = smoothstep(6500, 19000, r) * np.clip(y / r.clip(1) + 0.7, 0.15, 1)
-    h += peaks * (2300 * ridge**3 + 620 * fine**2 * ridge)
-    h += (
-        112 * np.exp(-(np.sqrt(r**2 + 15**2) - 15) / 330)
-        + 0.35 * noise(x / 7, y / 7, 7)
-        + 1.2 * noise(x / 23, y / 23, 8) * smoothstep(8, 60, r)
-    )
-    h -= 165 * np.exp(-(((x + 60) / 760) ** 2) - ((y - 1500) / 620) ** 2)  # the lake
-    h -= (
-        75
-        * np.exp(-(((x - 0.30 * y) / 500) ** 2))
-        * smoothstep(1500, 3000, y)
-        * (1 - smoothstep(5000, 9000, y))
-    )
-    return h
-
-
-def slopes(x, y, step):
-    """(dh/dx, dh/dy) over a distance."""
-    return (
-        (height(x + step, y) - height(x - step, y)) / (2 * step),
-        (height(x, y + step) - height(x, y - step)) / (2 * step),
-    )
-
-
-def terrain_mesh(ground) -> bpy.types.Mesh:
-    """Rings around the camera, finer where it looks; sunk a little where stands hide it."""
-    radius = np.r_[0.4, np.geomspace(1.2, 1.12 * FAR, 190)]
-    ahead = np.linspace(-0.8, 0.8, 190)
-    behind = np.linspace(0.8, 2 * np.pi - 0.8, 50)[1:-1]
-    angle = np.pi / 2 - np.r_[ahead, behind]
-    x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
-    z = height(x, y)
-    z -= smoothstep(NEAR, MIDDLE, np.hypot(x, y)) * 3 + smoothstep(MIDDLE, 2 * MIDDLE, np.hypot(x, y)) * 9
-    points = np.round(np.stack([x, y, z], -1).reshape(-1, 3) * 32) / 32
-    return mesh("Terrain", points, grid_faces(len(radius), len(angle), wrap=True)[:, ::-1], [ground])
-
-
-# Materials
-
-
-def hazed(n, shader):
-    """A shader that fades into the air's colour with distance, less so high up."""
-    distance = n("CameraData").outputs["View Distance"]
-    z = n("SeparateXYZ", n("NewGeometry").outputs["Position"]).outputs["Z"]
-    thin = n.math("EXPONENT", n.math("MULTIPLY", n.math("MAXIMUM", z, 0.0), -1 / 650))
-    density = n.math("MULTIPLY", n.math("MULTIPLY_ADD", thin, 0.66, 0.34), -1 / 17000)
-    through = n.math("EXPONENT", n.math("MULTIPLY", distance, density))
-    return n("MixShader", through, n("Emission", HAZE, 0.86), shader)
-
-
-def quiet(m):
-    """Air is no lamp: its glow is seen, not sampled."""
-    if hasattr(m, "cycles"):
-        m.cycles.emission_sampling = "NONE"
-    return m
-
-
-def leaf(name, dark, light, shine):
-    """A leaf: diffuse, with light coming through; every twig has a tone of its own."""
-
-    def build(n):
-        color = n.ramp(n("ObjectInfo").outputs["Random"], (0.0, dark), (1.0, light))
-        through = n("BsdfTranslucent", n.mix(1.0, color, shine, "MULTIPLY"))
-        return hazed(n, n("MixShader", 0.36, n("BsdfDiffuse", color), through))
-
-    return quiet(material(name, build))
-
-
-def bark(name, dark, light, scale=(9, 9, 1.5)):
-    def build(n):
-        at = n("Mapping", vector=n("TexCoord").outputs["Object"], scale=scale)
-        tone = n("TexNoise", vector=at, scale=1.0, detail=4, roughness=0.7)
-        return hazed(n, n("BsdfDiffuse", n.ramp(tone, (0.38, dark), (0.60, light))))
-
-    return quiet(material(name, build))
-
-
-def ground_material():
-    def build(n):
-        at = n("NewGeometry").outputs["Position"]
-        wide = n("TexNoise", vector=at, scale=0.05, detail=5, roughness=0.6)
-        fine = n("TexNoise", vector=at, scale=2.2, detail=5, roughness=0.7)
-        tone = n.math("MULTIPLY_ADD", fine, 0.5, n.math("MULTIPLY", wide, 0.5))
-        grass = n.ramp(
-            tone, (0.34, (0.040, 0.030, 0.016)), (0.5, (0.055, 0.075, 0.018)), (0.66, (0.11, 0.12, 0.035))
-        )
-        crag = n(
-            "TexNoise",
-            vector=n("Mapping", vector=at, scale=(0.004, 0.004, 0.012)),
-            scale=1,
-            detail=8,
-            roughness=0.65,
-        )
-        stone = n.ramp(crag, (0.36, (0.09, 0.085, 0.08)), (0.62, (0.27, 0.25, 0.23)))
-        z = n("SeparateXYZ", at).outputs["Z"]
-        steep = n("SeparateXYZ", n("NewGeometry").outputs["Normal"]).outputs["Z"]
-        high = n("MapRange", n.math("MULTIPLY_ADD", crag, 500, z), TREE_LINE + 120, TREE_LINE + 320).outputs[
-            0
-        ]
-        color = n.mix(high, grass, stone)
-        snow_at = n(
-            "MapRange", n.math("MULTIPLY_ADD", crag, 900, z), TREE_LINE + 700, TREE_LINE + 1000
-        ).outputs[0]
-        flat = n("MapRange", steep, 0.74, 0.86).outputs[0]
-        color = n.mix(n.math("MULTIPLY", snow_at, flat), color, (0.82, 0.85, 0.90))
-        relief = n.math("MULTIPLY_ADD", crag, n.math("MULTIPLY", high, 120), n.math("MULTIPLY", fine, 0.12))
-        return hazed(n, n("BsdfDiffuse", color, normal=n("Bump", strength=0.9, distance=1.0, height=relief)))
-
-    return quiet(material("Ground", build))
-
-
-def rock_material():
-    def build(n):
-        at = n("TexCoord").outputs["Object"]
-        grain = n("TexNoise", vector=at, scale=4, detail=7, roughness=0.7)
-        moss = n("TexNoise", vector=at, scale=1.7, detail=4, roughness=0.6)
-        stone = n.ramp(grain, (0.35, (0.075, 0.070, 0.065)), (0.62, (0.30, 0.285, 0.26)))
-        up = n("SeparateXYZ", n("NewGeometry").outputs["Normal"]).outputs["Z"]
-        mossy = n("MapRange", n.math("MULTIPLY_ADD", up, 0.28, moss), 0.66, 0.78).outputs[0]
-        color = n.mix(mossy, stone, (0.075, 0.095, 0.020))
-        return hazed(n, n("BsdfDiffuse", color, normal=n("Bump", strength=0.7, distance=0.06, height=grain)))
-
-    return quiet(material("Rock", build))
-
-
-def water_material():
-    def build(n):
-        at = n("NewGeometry").outputs["Position"]
-        waves = n(
-            "TexNoise",
-            vector=n("Mapping", vector=at, scale=(0.05, 0.16, 0.1)),
-            scale=1,
-            detail=4,
-            roughness=0.6,
-        )
-        bump = n("Bump", strength=0.10, distance=1.0, height=waves)
-        water = n(
-            "BsdfPrincipled",
-            base_color=(0.010, 0.030, 0.034),
-            roughness=0.03,
-            ior=1.33,
-            normal=bump,
-            specular_ior_level=0.5,
-        )
-        return hazed(n, water)
-
-    return quiet(material("Water", build))
-
 
 # Plants
 
@@ -412,11 +224,35 @@ def plant_landscape(trees, names, low, index, grove_tiles, stand_tiles):
             rng.integers(11, 20, len(x)) / 16, mixture(x, y, rng, names))  # fmt: skip
 
     # the frame of the picture
-    heroes = np.array([(-7.4, 15.5, 0.95, "Birch"), (-9.8, 18, 0.85, "Birch"), (-13, 25, 1.0, "Maple"), (-17.5, 31, 1.1, "Beech"),
-                       (-20, 38, 1.15, "Spruce"), (-6.6, 36, 0.28, "Spruce"), (-9.5, 33, 0.5, "Spruce"), (-3.2, 47, 0.22, "Spruce"),
-                       (11.2, 21, 1.0, "Spruce"), (13.8, 25, 1.0, "Beech"), (17, 33, 1.15, "Spruce"), (9.4, 27, 0.40, "Spruce"),
-                       (22, 40, 1.1, "Birch"), (27, 60, 1.0, "Maple"), (-30, 62, 1.0, "Maple"), (7.0, 34, 0.20, "Spruce")],
-                      object)  # fmt: skip
+    heroes = np.array(
+        [
+            *[
+                (-7.4, 15.5, 0.95, "Birch"),
+                (-9.8, 18, 0.85, "Birch"),
+                (-13, 25, 1.0, "Maple"),
+                (-17.5, 31, 1.1, "Beech"),
+            ],
+            *[
+                (-20, 38, 1.15, "Spruce"),
+                (-6.6, 36, 0.28, "Spruce"),
+                (-9.5, 33, 0.5, "Spruce"),
+                (-3.2, 47, 0.22, "Spruce"),
+            ],
+            *[
+                (11.2, 21, 1.0, "Spruce"),
+                (13.8, 25, 1.0, "Beech"),
+                (17, 33, 1.15, "Spruce"),
+                (9.4, 27, 0.40, "Spruce"),
+            ],
+            *[
+                (22, 40, 1.1, "Birch"),
+                (27, 60, 1.0, "Maple"),
+                (-30, 62, 1.0, "Maple"),
+                (7.0, 34, 0.20, "Spruce"),
+            ],
+        ],
+        object,
+    )
     x, y, size = heroes[:, :3].astype(float).T
     which = [names[kind][i % len(names[kind])] for i, kind in enumerate(heroes[:, 3])]
     scatter(
@@ -470,8 +306,16 @@ def plant_landscape(trees, names, low, index, grove_tiles, stand_tiles):
     )
     scatter("Undergrowth nearby", top, low, rounded(x, y, height(x, y), 1 / 64), upright(len(x), rng, 0.08),
             rng.integers(10, 26, len(x)) / 16, kind)  # fmt: skip
-    boulders = np.array([(-3.6, 8.2, 1.9, 0), (-5.2, 9.6, 1.2, 1), (4.9, 10.8, 1.5, 2), (2.2, 15.5, 1.0, 1), (-1.6, 21, 1.4, 2),
-                         (6.5, 13.5, 0.8, 0), (-2.2, 6.6, 0.55, 2)])  # fmt: skip
+    boulders = np.array(
+        [
+            (-3.6, 8.2, 1.9, 0),
+            (-5.2, 9.6, 1.2, 1),
+            (4.9, 10.8, 1.5, 2),
+            (2.2, 15.5, 1.0, 1),
+            (-1.6, 21, 1.4, 2),
+        ]
+        + [(6.5, 13.5, 0.8, 0), (-2.2, 6.6, 0.55, 2)]
+    )
     x, y, size, which = boulders.T
     scatter("Boulders", top, low, np.stack([x, y, height(x, y) + 0.05], 1), upright(len(x), rng, 0.15), size,
             index["Rock 0"] + which.astype(int))  # fmt: skip
@@ -501,37 +345,6 @@ def build() -> None:
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.exposure = 0.75
     scene.view_settings.look = "AgX - Medium High Contrast"
-
-
-def sky() -> bpy.types.World:
-    """A gradient with clouds that flatten toward the horizon."""
-    world = bpy.data.worlds.new("Sky")
-    n = Nodes(world)
-    d = n("TexCoord").outputs["Generated"]
-    parts = n("SeparateXYZ", d)
-    z = parts.outputs["Z"]
-    blue = n.ramp(
-        z,
-        (0.0, (0.62, 0.75, 0.92)),
-        (0.10, (0.36, 0.56, 0.90)),
-        (0.30, (0.15, 0.33, 0.78)),
-        (1.0, (0.06, 0.16, 0.5)),
-    )
-    over = n.math("ADD", n.math("MAXIMUM", z, 0.0), 0.09)
-    plane = n(
-        "CombineXYZ",
-        n.math("DIVIDE", parts.outputs["X"], over),
-        n.math("DIVIDE", parts.outputs["Y"], over),
-        0.0,
-    )
-    puffs = n("TexNoise", vector=plane, scale=0.9, detail=7, roughness=0.58, distortion=0.25)
-    cover = n("MapRange", puffs, 0.50, 0.62).outputs[0]
-    fade = n("MapRange", z, 0.015, 0.16).outputs[0]
-    white = n.ramp(puffs, (0.52, (0.95, 0.93, 0.90)), (0.78, (0.66, 0.70, 0.77)))
-    color = n.mix(n.math("MULTIPLY", n.math("MULTIPLY", cover, fade), 0.9), blue, white)
-    below = n.math("LESS_THAN", z, 0.0)
-    n.surface(n("Background", n.mix(below, color, (0.20, 0.24, 0.22)), 0.95), "OutputWorld")
-    return world
 
 
 if __name__ == "__main__":

@@ -25,288 +25,28 @@ from parts import (
     save,
     target_folder,
 )
+from still_life_looks import brass, glass, label_image, linen_image, plate_image, skin, wall, wood
+from still_life_shapes import (
+    APPLE,
+    BOTTLE,
+    BOWL,
+    CANDLE,
+    CANDLESTICK,
+    FLAME,
+    GOBLET,
+    JUG,
+    LEMON,
+    ORANGE,
+    PEAR,
+    WINE,
+    apple_shape,
+    box,
+    cloth,
+    spout,
+    tube,
+)
 
 TABLE = 0.0  # height of the table top
-
-
-# Images, packed
-
-
-def plate_image(size: int = 512) -> np.ndarray:
-    """A blue pattern on white glaze: u around a bowl, v from its foot over the rim to its middle."""
-    u, v = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size)
-    v = 1 - v
-    petals = np.cos(2 * np.pi * 12 * u)
-    bands = [
-        (np.abs(v - 0.555) < 0.008) | (np.abs(v - 0.300) < 0.007) | (np.abs(v - 0.525) < 0.003),
-        np.abs(v - (0.415 + 0.075 * petals)) < 0.007,
-        np.abs(v - (0.415 - 0.075 * petals)) < 0.007,
-        np.abs(v - 0.415) < 0.045 * np.clip(np.cos(2 * np.pi * 24 * u), 0, 1),
-        np.abs(v - 0.800) < 0.02 + 0.02 * petals,
-    ]
-    ink = np.clip(sum(b.astype(float) for b in bands), 0, 1)
-    rng = np.random.default_rng(4)
-    shade = 0.8 + 0.2 * rng.random((size // 16, size // 16)).repeat(16, 0).repeat(16, 1)
-    white, blue = np.array([0.93, 0.92, 0.88]), np.array([0.10, 0.20, 0.52])
-    return white + (ink * shade)[..., None] * (blue - white)
-
-
-def label_image(width: int = 640, height: int = 420) -> np.ndarray:
-    """A bottle's paper label."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    picture = Image.new("RGB", (width, height), (232, 222, 196))
-    draw = ImageDraw.Draw(picture)
-    for inset, line in ((14, 5), (26, 2)):
-        draw.rectangle((inset, inset, width - inset, height - inset), outline=(120, 84, 40), width=line)
-
-    def text(y, words, size, color):
-        draw.text((width / 2, y), words, fill=color, font=ImageFont.load_default(size), anchor="mm")
-
-    text(92, "CHÂTEAU", 44, (70, 46, 24))
-    text(180, "PointMR", 96, (110, 18, 24))
-    draw.line((150, 248, width - 150, 248), fill=(120, 84, 40), width=3)
-    text(296, "GRAND CRU DES SURFELS", 34, (70, 46, 24))
-    text(352, "10   triangles", 38, (70, 46, 24))
-    draw.text((276, 330), "15", fill=(70, 46, 24), font=ImageFont.load_default(24), anchor="mm")
-    return np.asarray(picture, float) / 255
-
-
-def linen_image(size: int = 512) -> np.ndarray:
-    """A woven cloth with a striped border; it tiles."""
-    x, y = np.meshgrid(np.arange(size), np.arange(size))
-    rng = np.random.default_rng(9)
-    warp, weft = rng.normal(0, 0.035, size)[None, :], rng.normal(0, 0.035, size)[:, None]
-    weave = 0.04 * np.where((x // 2 + y // 2) % 2, 1, -1)
-    base = np.array([0.86, 0.83, 0.76])
-    stripe = np.zeros(size)
-    for center, half in ((0.12, 0.035), (0.185, 0.008), (0.055, 0.008)):
-        stripe[np.abs(np.arange(size) / size - center) < half] = 1
-    across = np.clip(stripe[None, :] * 0.8 + stripe[:, None] * 0.8, 0, 1)
-    color = base + across[..., None] * (np.array([0.42, 0.10, 0.10]) - base)
-    return color * (1 + warp + weft + weave)[..., None]
-
-
-# Materials
-
-
-def glass(name, color=(1, 1, 1), roughness=0.0, ior=1.5, shadow=(0.9, 0.9, 0.9)):
-    """Glass that lets tinted light through to shadow rays, as there are no caustics by way of diffuse bounces."""
-
-    def build(n):
-        bsdf = n(
-            "BsdfPrincipled",
-            base_color=color,
-            roughness=roughness,
-            ior=ior,
-            transmission_weight=1.0,
-            metallic=0.0,
-        )
-        clear = n("BsdfTransparent", shadow)
-        return n("MixShader", n("LightPath").outputs["Is Shadow Ray"], bsdf, clear)
-
-    return material(name, build)
-
-
-def wood():
-    def build(n):
-        at = n("TexCoord").outputs["Object"]
-        plank = n(
-            "TexBrick",
-            vector=at,
-            color1=(0, 0, 0),
-            color2=(1, 1, 1),
-            mortar=(0.5, 0.5, 0.5),
-            scale=1.0,
-            mortar_size=0.0012,
-            mortar_smooth=0.3,
-            brick_width=3.1,
-            row_height=0.145,
-            offset=0.37,
-        )
-        shift = n("VectorMath", at, n("VectorMath", plank, (7, 3, 5), operation="MULTIPLY"), operation="ADD")
-        stretch = n("Mapping", vector=shift, scale=(1.1, 13, 13))
-        grain = n("TexNoise", vector=stretch, scale=2.2, detail=6, roughness=0.62, distortion=0.9)
-        fibre = n("TexNoise", vector=n("Mapping", vector=shift, scale=(5, 160, 160)), scale=2, detail=3)
-        tone = n.math("ADD", n.math("MULTIPLY", grain, 0.75), n.math("MULTIPLY", fibre, 0.25))
-        color = n.ramp(
-            tone,
-            (0.30, (0.028, 0.012, 0.006)),
-            (0.46, (0.105, 0.046, 0.019)),
-            (0.58, (0.20, 0.094, 0.038)),
-            (0.74, (0.30, 0.155, 0.068)),
-        )
-        color = n.mix(
-            n.math("MULTIPLY", plank, 0.35), color, n.mix(1.0, color, (0.62, 0.50, 0.42), "MULTIPLY")
-        )
-        joint = plank.outputs["Fac"]
-        color = n.mix(joint, color, (0.008, 0.004, 0.002))
-        height = n.math("SUBTRACT", n.math("MULTIPLY", tone, 0.5), n.math("MULTIPLY", joint, 1.5))
-        return {
-            "base_color": color,
-            "roughness": n("MapRange", tone, 0.3, 0.7, 0.52, 0.30).outputs[0],
-            "normal": n("Bump", strength=0.35, distance=0.003, height=height),
-        }
-
-    return material("Oak", build, coat_weight=0.25, coat_roughness=0.18)
-
-
-def wall():
-    def build(n):
-        at = n("TexCoord").outputs["Object"]
-        large = n("TexNoise", vector=at, scale=1.6, detail=5, roughness=0.6)
-        fine = n("TexNoise", vector=at, scale=24, detail=5, roughness=0.65)
-        tone = n.math("ADD", n.math("MULTIPLY", large, 0.8), n.math("MULTIPLY", fine, 0.2))
-        color = n.ramp(
-            tone, (0.36, (0.050, 0.046, 0.036)), (0.52, (0.098, 0.088, 0.066)), (0.7, (0.15, 0.13, 0.095))
-        )
-        return {"base_color": color, "normal": n("Bump", strength=0.3, distance=0.01, height=fine)}
-
-    return material("Plaster", build, roughness=0.9, specular_ior_level=0.2)
-
-
-def skin(name, stops, scale=3.0, stretch=(1, 1, 0.35), roughness=0.32, dots=None, rough_bump=None):
-    """Fruit skin: a colour ramp over noise in the fruit's own box, with pores."""
-
-    def build(n):
-        at = n("TexCoord").outputs["Generated"]
-        other = n("VectorMath", at, n("Mapping", vector=n("CombineXYZ", n("ObjectInfo").outputs["Random"]),
-                  scale=(9, 1, 1)), operation="ADD")  # fmt: skip
-        tone = n(
-            "TexNoise", vector=n("Mapping", vector=other, scale=stretch), scale=scale, detail=5, roughness=0.6
-        )
-        color = n.ramp(tone, *stops)
-        inputs = {}
-        if dots is not None:
-            spot = n("TexVoronoi", vector=at, scale=dots[0], feature="F1")
-            color = n.mix(n.math("LESS_THAN", spot.outputs["Distance"], 0.16), color, dots[1])
-        if rough_bump is not None:
-            pores = n("TexVoronoi", vector=at, scale=rough_bump[0], feature="SMOOTH_F1")
-            inputs["normal"] = n(
-                "Bump", strength=rough_bump[1], distance=0.002, height=pores.outputs["Distance"]
-            )
-        return inputs | {"base_color": color}
-
-    return material(name, build, roughness=roughness, coat_weight=0.35, coat_roughness=0.12)
-
-
-def brass():
-    def build(n):
-        at = n("TexCoord").outputs["Object"]
-        worn = n("TexNoise", vector=at, scale=38, detail=5, roughness=0.7)
-        return {
-            "base_color": n.ramp(worn, (0.35, (0.50, 0.29, 0.10)), (0.6, (0.86, 0.60, 0.25))),
-            "roughness": n("MapRange", worn, 0.3, 0.7, 0.34, 0.13).outputs[0],
-            "normal": n(
-                "Bump", strength=0.06, distance=0.002, height=n("TexNoise", vector=at, scale=9, detail=2)
-            ),
-        }
-
-    return material("Brass", build, metallic=1.0)
-
-
-# Shapes
-
-
-def apple_shape(seed):
-    rng = np.random.default_rng(seed)
-    tilt, amount = rng.uniform(0, 6.28), rng.uniform(0.02, 0.05)
-
-    def bend(p):
-        angle = np.arctan2(p[:, 1], p[:, 0])
-        low = np.clip(0.5 - p[:, 2] / 0.08, 0, 1)
-        f = 1 + 0.035 * low * np.cos(5 * angle) + amount * np.cos(angle - tilt)
-        return p * np.stack([f, f, 1 + 0.04 * np.cos(angle + tilt)], 1)
-
-    return bend
-
-
-APPLE = [(0, 0.012), (0.006, 0.009), (0.014, 0.003), (0.022, 0.004), (0.034, 0.022), (0.0395, 0.042),
-         (0.036, 0.060), (0.025, 0.071), (0.014, 0.0705), (0.006, 0.063), (0, 0.058)]  # fmt: skip
-PEAR = [(0, 0.006), (0.010, 0.001), (0.022, 0.004), (0.034, 0.018), (0.0375, 0.036), (0.033, 0.055), (0.024, 0.073),
-        (0.018, 0.089), (0.0155, 0.101), (0.011, 0.109), (0.005, 0.1105), (0, 0.108)]  # fmt: skip
-LEMON = [(0, 0), (0.006, 0.001), (0.010, 0.006), (0.022, 0.016), (0.0275, 0.032), (0.026, 0.048), (0.017, 0.063),
-         (0.009, 0.070), (0.007, 0.075), (0, 0.077)]  # fmt: skip
-ORANGE = [(0, 0.002), (0.012, 0.0), (0.026, 0.008), (0.036, 0.024), (0.0385, 0.038), (0.036, 0.053), (0.026, 0.067),
-          (0.012, 0.0735), (0.004, 0.0728), (0, 0.0715)]  # fmt: skip
-BOTTLE = [(0, 0.020), (0.018, 0.014), (0.030, 0.004), (0.034, 0.0), (0.0385, 0.004), (0.0385, 0.02), (0.0385, 0.02),
-          (0.0385, 0.185), (0.0385, 0.185), (0.034, 0.212), (0.022, 0.232), (0.0155, 0.250), (0.0145, 0.262),
-          (0.0140, 0.312), (0.0140, 0.312), (0.0165, 0.313), (0.0165, 0.313), (0.0165, 0.325), (0.0165, 0.325),
-          (0.0135, 0.327), (0.0105, 0.326), (0.0105, 0.326), (0.0110, 0.262), (0.0125, 0.249), (0.0190, 0.230),
-          (0.0310, 0.210), (0.0355, 0.184), (0.0355, 0.184), (0.0355, 0.012), (0.0355, 0.012), (0.030, 0.010),
-          (0.018, 0.020), (0, 0.026)]  # fmt: skip
-GOBLET = [(0, 0.0), (0.033, 0.0), (0.033, 0.0), (0.0335, 0.0015), (0.031, 0.003), (0.012, 0.0065), (0.0048, 0.013),
-          (0.0040, 0.030), (0.0038, 0.072), (0.0055, 0.084), (0.018, 0.091), (0.032, 0.104), (0.0395, 0.126),
-          (0.0400, 0.148), (0.0365, 0.172), (0.0330, 0.186), (0.0326, 0.187), (0.0320, 0.186), (0.0354, 0.172),
-          (0.0388, 0.148), (0.0383, 0.126), (0.0310, 0.1052), (0.017, 0.0928), (0, 0.0895)]  # fmt: skip
-WINE = [(0, 0.0893), (0.0171, 0.0925), (0.0311, 0.1049), (0.0385, 0.1262), (0.0388, 0.133), (0.0388, 0.133),
-        (0.0380, 0.1325), (0.030, 0.1322), (0, 0.1322)]  # fmt: skip
-JUG = [(0, 0.0), (0.036, 0.0), (0.036, 0.0), (0.038, 0.003), (0.035, 0.008), (0.030, 0.012), (0.036, 0.020),
-       (0.052, 0.045), (0.057, 0.070), (0.050, 0.100), (0.034, 0.128), (0.027, 0.150), (0.026, 0.165), (0.030, 0.178),
-       (0.036, 0.187), (0.0365, 0.189), (0.0345, 0.1885), (0.028, 0.178), (0.024, 0.165), (0.025, 0.150),
-       (0.032, 0.127), (0.048, 0.099), (0.054, 0.070), (0.049, 0.046), (0.030, 0.018), (0, 0.013)]  # fmt: skip
-CANDLESTICK = [(0, 0.0), (0.045, 0.0), (0.045, 0.0), (0.046, 0.004), (0.040, 0.009), (0.030, 0.012), (0.016, 0.020),
-               (0.009, 0.034), (0.012, 0.042), (0.008, 0.050), (0.0075, 0.082), (0.013, 0.090), (0.0085, 0.098),
-               (0.0095, 0.108), (0.024, 0.114), (0.026, 0.117), (0.020, 0.117), (0.0135, 0.119), (0.0135, 0.119),
-               (0.0145, 0.140), (0.0145, 0.140), (0.0112, 0.141), (0.0112, 0.141), (0.0112, 0.122), (0, 0.121)]  # fmt: skip
-CANDLE = [(0.0108, 0.122), (0.0108, 0.122), (0.0106, 0.215), (0.0100, 0.223), (0.0100, 0.223), (0.0075, 0.2195),
-          (0.003, 0.2175), (0, 0.217)]  # fmt: skip
-FLAME = [(0, 0.226), (0.0025, 0.228), (0.0044, 0.235), (0.0036, 0.247), (0.0013, 0.259), (0, 0.263)]
-BOWL = [(0, 0.006), (0.040, 0.006), (0.043, 0.0), (0.043, 0.0), (0.047, 0.0), (0.047, 0.0), (0.049, 0.010),
-        (0.076, 0.022), (0.100, 0.046), (0.113, 0.072), (0.1145, 0.0735), (0.1125, 0.0745), (0.1095, 0.072),
-        (0.097, 0.049), (0.074, 0.026), (0.046, 0.0145), (0, 0.0125)]  # fmt: skip
-
-
-def tube(name, path, radius, materials, sides=12):
-    """A round tube along points; radius a number or one for each point."""
-    path, n = np.asarray(path, float), len(path)
-    radius = np.broadcast_to(radius, n)
-    tangent = np.gradient(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    up = np.array([0.0, 1.0, 0.0]) if abs(tangent[0, 1]) < 0.9 else np.array([1.0, 0, 0])
-    side = np.cross(tangent, up)
-    side /= np.linalg.norm(side, axis=1)[:, None]
-    other = np.cross(side, tangent)
-    a = 2 * np.pi * np.arange(sides) / sides
-    ring = np.cos(a)[:, None] * side[:, None] + np.sin(a)[:, None] * other[:, None]
-    points = path[:, None] + radius[:, None, None] * ring
-    return mesh(name, points.reshape(-1, 3), grid_faces(n, sides, wrap=True), materials)
-
-
-def cloth(materials):
-    """Linen laid over the table's front edge: flat folds on top, a fall with deepening folds in front."""
-    across, along = 120, 100
-    u, v = np.meshgrid(np.linspace(0, 1, across), np.linspace(0, 1, along))
-    width, length, edge, bend = 0.52, 0.62, 0.30, 0.014
-    s = v * length  # from the back end
-    flat = np.minimum(s, edge)
-    turn = np.clip((s - edge) / bend, 0, np.pi / 2)
-    fall = np.maximum(s - edge - bend * np.pi / 2, 0)
-    depth = np.clip(fall / 0.2, 0, 1)
-    fold = np.sin(2 * np.pi * (3.3 * u + 0.22 * np.sin(5 * u + 1.3))) + 0.4 * np.sin(
-        2 * np.pi * 7.1 * u + 2.0
-    )
-    x = (u - 0.5) * width * (1 - 0.10 * depth) + 0.01 * depth * np.cos(2 * np.pi * 3.3 * u)
-    out = bend * np.sin(turn) + (0.004 + 0.020 * depth) * (fold * 0.7 + 1.0) * (fall > 0) * np.clip(
-        fall / 0.03, 0, 1
-    )
-    y = -(flat + out)
-    z = -bend * (1 - np.cos(turn)) - fall
-    rng = np.random.default_rng(2)
-    ripple = 0 * u
-    for _ in range(9):  # long soft creases on the table
-        d, p, o = rng.uniform(0, np.pi), rng.uniform(0, 6.28), rng.uniform(-0.4, 0.4)
-        t = (u - 0.5) * np.cos(d) + (v - 0.3) * np.sin(d) + o
-        ripple += (
-            rng.uniform(0.002, 0.0065)
-            * np.exp(-((t / rng.uniform(0.012, 0.035)) ** 2))
-            * (1 + np.cos(9 * t + p))
-            / 2
-        )
-    z += ripple * (1 - np.clip(fall / 0.05, 0, 1)) + 0.0016
-    points = np.stack([x, y, z], -1).reshape(-1, 3)
-    uv = np.stack([u * 2.0, v * length / width * 2.0], -1).reshape(-1, 2)
-    return mesh("Linen", points, grid_faces(along, across)[:, ::-1], materials, uv)
 
 
 def build() -> None:
@@ -428,10 +168,21 @@ def build() -> None:
     half_lemon(lemon, (0.150, -0.155, TABLE + 0.004))
 
     # Grapes, instanced
-    grape = material("Grape", lambda n: {
-        "base_color": n.ramp(n("ObjectInfo").outputs["Random"], (0.0, (0.045, 0.006, 0.030)), (0.6, (0.085, 0.010, 0.040)),
-                             (1.0, (0.15, 0.028, 0.05)))},
-        roughness=0.28, coat_weight=0.3, coat_roughness=0.25, subsurface_weight=0.0)  # fmt: skip
+    grape = material(
+        "Grape",
+        lambda n: {
+            "base_color": n.ramp(
+                n("ObjectInfo").outputs["Random"],
+                (0.0, (0.045, 0.006, 0.030)),
+                (0.6, (0.085, 0.010, 0.040)),
+                (1.0, (0.15, 0.028, 0.05)),
+            )
+        },
+        roughness=0.28,
+        coat_weight=0.3,
+        coat_roughness=0.25,
+        subsurface_weight=0.0,
+    )
     grapes([grape], stem, (0.205, -0.035))
     knife(steel, material("Horn", base_color=(0.03, 0.018, 0.012), roughness=0.3, coat_weight=0.4))
 
@@ -455,26 +206,6 @@ def build() -> None:
     scene.pointmr.max_bounces, scene.pointmr.transmission_bounces = 12, 12
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.look = "AgX - Medium High Contrast"
-
-
-def box(x, y, z):
-    """(positions, faces) of a box around the origin."""
-    p = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (
-        x / 2,
-        y / 2,
-        z / 2,
-    )
-    return p, np.array(
-        [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)], np.int32
-    )
-
-
-def spout(p):
-    """Draws a jug's rim out to -x."""
-    f = np.clip((p[:, 2] - 0.150) / 0.039, 0, 1) ** 2
-    angle = np.arctan2(p[:, 1], -p[:, 0])
-    beak = np.exp(-((angle / 0.45) ** 2)) * f
-    return p * np.stack([1 + 0.55 * beak, 1 - 0.25 * beak, 1 + 0.05 * beak], 1)
 
 
 def half_lemon(peel, at):
@@ -569,8 +300,13 @@ def knife(steel, horn):
         location=where,
         rotation=rotation,
     )
-    grip = tube("Grip", [(x, -0.0003, 0) for x in np.linspace(0.002, -0.085, 14)],
-                0.0058 * np.array([0.3, 0.85, 1, 0.95, 0.92, 0.95, 1, 1.06, 1.12, 1.16, 1.18, 1.12, 0.9, 0.3]), [horn], 20)  # fmt: skip
+    grip = tube(
+        "Grip",
+        [(x, -0.0003, 0) for x in np.linspace(0.002, -0.085, 14)],
+        0.0058 * np.array([0.3, 0.85, 1, 0.95, 0.92, 0.95, 1, 1.06, 1.12, 1.16, 1.18, 1.12, 0.9, 0.3]),
+        [horn],
+        20,
+    )
     add("Grip", grip, location=where, rotation=rotation, scale=(1, 1, 0.75))
 
 

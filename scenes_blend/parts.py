@@ -22,6 +22,7 @@ def new_scene() -> bpy.types.Scene:
     if not hasattr(bpy.types.Object, "pointmr"):
         blender_addon.register()
     scene = bpy.context.scene
+    scene.frame_end = 1
     scene.render.engine = "POINTMR"
     scene.render.resolution_x, scene.render.resolution_y = 640, 480
     scene.render.resolution_percentage = 100
@@ -32,6 +33,7 @@ def new_scene() -> bpy.types.Scene:
 def save(name: str, folder: str | None = None) -> Path:
     """Write the scene, compressed, beside the scripts or into `folder`."""
     path = Path(folder or HERE) / name
+    bpy.context.scene.name = path.stem
     bpy.data.orphans_purge(do_local_ids=True, do_recursive=True)
     bpy.context.preferences.filepaths.save_version = 0
     bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True, relative_remap=False)
