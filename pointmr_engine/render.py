@@ -152,7 +152,8 @@ def _compile(
     clock.phase("checking the scene")
     warnings = scene.validate()
     clock.phase("loading kernels")
-    helper.start()
+    if settings.threads != 1:
+        helper.start()
     from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
     from pointmr_engine.hierarchy.geometry import compile_geometry
     from pointmr_engine.raytracing.lights import build_lights

@@ -1,7 +1,7 @@
 """Maps from the unit square to disks, spheres, cones, triangles and rectangles, each uniform in its own measure.
 
-All float64 and scalar. u1 and u2 lie in [0, 1); the maps keep neighbouring numbers neighbours, so stratified numbers give
-stratified points.
+All float64 and scalar. u1 and u2 lie in [0, 1); the maps keep neighbouring numbers neighbours, so stratified numbers
+give stratified points.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def concentric_disk(u1, u2):
 
 @uncounted
 def orthonormal_basis(x, y, z):
-    """Two unit vectors (x1, y1, z1, x2, y2, z2) that complete the unit vector to a right-handed basis (Duff et al. 2017)."""
+    """Two unit vectors (x1, y1, z1, x2, y2, z2) that complete a unit vector to a right-handed basis (Duff 2017)."""
     s = math.copysign(1.0, z)
     a = -1.0 / (s + z)
     b = x * y * a
@@ -144,7 +144,7 @@ def rectangle_solid_angle(x0, x1, y0, y1, z):
 
 @uncounted
 def spherical_rectangle(x0, x1, y0, y1, z, solid_angle, u1, u2):
-    """Point (x, y) of the rectangle, uniform in the solid angle that it fills seen from the origin (Urena et al. 2013)."""
+    """Point (x, y) of the rectangle, uniform in the solid angle that it fills from the origin (Urena et al. 2013)."""
     h = abs(z)
     # normals of the planes through the origin and the four sides: cosines with the rectangle's plane
     n0 = -y0 / math.sqrt(h * h + y0 * y0)

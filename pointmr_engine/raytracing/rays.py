@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Rays(NamedTuple):
-    """N rays in world space. `skip_*` name the triangle that a ray starts on (-1: none), which it must not hit again."""
+    """N rays in world space. `skip_*` name the triangle that a ray starts on (-1: none), which it may not hit again."""
 
     origin: np.ndarray  # (N, 3) float64
     direction: np.ndarray  # (N, 3) float64, unit length

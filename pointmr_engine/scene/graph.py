@@ -16,7 +16,7 @@ class Link:
 
 @dataclass
 class Node:
-    """One node. `kind` names the operation (shading.nodes lists them); inputs are constants or Links; params are fixed."""
+    """One node. `kind` names the operation (see shading.nodes); inputs are constants or Links; params are fixed."""
 
     kind: str
     inputs: dict[str, Any] = field(default_factory=dict)

@@ -57,7 +57,7 @@ def instance(group: Group, transform: np.ndarray | None = None, **values) -> Ins
 
 @dataclass(eq=False)
 class Group:
-    """Meshes (in the group's own space) and instances of other groups. Identity is the object: share it to instance it."""
+    """Meshes (in the group's space) and instances of other groups. Identity is the object: share it to instance it."""
 
     name: str
     meshes: list[Mesh] = field(default_factory=list)
@@ -87,7 +87,7 @@ def unique_groups(root: Group) -> list[Group]:
             done[id(g)] = g
         elif id(child) in on_path:
             names = [p.name for p in on_path.values()]
-            names = names[names.index(child.name):] + [child.name]
+            names = names[names.index(child.name) :] + [child.name]
             raise SceneError("group contains itself: " + " -> ".join(names))
         elif id(child) not in done:
             on_path[id(child)] = child

@@ -31,6 +31,7 @@ def principled(name: str = "Material", **inputs) -> Material:
 def emission(name: str = "Emission", color=(1.0, 1.0, 1.0), strength: float = 1.0) -> Material:
     """A material that only emits: radiance color * strength, in W/(m^2 sr)."""
     graph = Graph(
-        {"emission": Node("emission", {"color": color, "strength": strength})}, surface=Link("emission", "emission")
+        {"emission": Node("emission", {"color": color, "strength": strength})},
+        surface=Link("emission", "emission"),
     )
     return Material(name, graph)

@@ -46,7 +46,9 @@ class RenderSettings:
     clamp_indirect: float = 0.0
     caustics_reflective: bool = True
     caustics_refractive: bool = True
-    pass_alpha_threshold: float = 0.5  # surfaces less opaque than this let unfiltered passes look through them
+    pass_alpha_threshold: float = (
+        0.5  # surfaces less opaque than this let unfiltered passes look through them
+    )
     passes: tuple[str, ...] = ("combined", "depth")
     threads: int = 0  # 0: one per core
 
@@ -70,4 +72,6 @@ class RenderSettings:
         if self.region is not None:
             x0, y0, x1, y1 = self.region
             if not (0 <= x0 < x1 <= self.width and 0 <= y0 < y1 <= self.height):
-                raise SceneError(f"region {self.region} is empty or outside the {self.width}x{self.height} image")
+                raise SceneError(
+                    f"region {self.region} is empty or outside the {self.width}x{self.height} image"
+                )

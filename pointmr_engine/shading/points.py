@@ -26,8 +26,12 @@ class SurfacePoints:
     local: np.ndarray | None = None  # (N, 3) float32, position in the object's space
     world_from_part: np.ndarray | None = None  # (N, 3, 4) float64
     uvs: dict[str, np.ndarray] = field(default_factory=dict)  # layer -> (N, 2) float32; "" is the active one
-    tangents: dict[str, np.ndarray] = field(default_factory=dict)  # layer -> (N, 4) float32: tangent, bitangent sign
-    uv_footprints: dict[str, np.ndarray] = field(default_factory=dict)  # layer -> (N,) float32: UV units per footprint
+    tangents: dict[str, np.ndarray] = field(
+        default_factory=dict
+    )  # layer -> (N, 4) float32: tangent, bitangent sign
+    uv_footprints: dict[str, np.ndarray] = field(
+        default_factory=dict
+    )  # layer -> (N,) float32: UV units per footprint
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32 (missing: zeros)
     instance_attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32
     footprint: np.ndarray | None = None  # (N,) float32, width of the ray's footprint at the point, metres
@@ -52,4 +56,11 @@ class SurfacePoints:
     window: np.ndarray | None = None  # (N, 2) float32, position in the image, 0..1
 
 
-RAY_CAMERA, RAY_SHADOW, RAY_DIFFUSE, RAY_GLOSSY, RAY_SINGULAR, RAY_REFLECTION, RAY_TRANSMISSION = 1, 2, 4, 8, 16, 32, 64
+# how a ray came here, bits of `ray_kind`
+RAY_CAMERA = 1
+RAY_SHADOW = 2
+RAY_DIFFUSE = 4
+RAY_GLOSSY = 8
+RAY_SINGULAR = 16
+RAY_REFLECTION = 32
+RAY_TRANSMISSION = 64
