@@ -221,10 +221,10 @@ def half_lemon(peel, at):
         core = n.math("LESS_THAN", r, 0.0022)
         pith = n.math("MAXIMUM", n.math("MAXIMUM", spokes, rim), core)
         juice = n("TexVoronoi", vector=n("TexCoord").outputs["Object"], scale=330)
-        flesh = n.ramp(juice.outputs["Distance"], (0.0, (0.86, 0.68, 0.10)), (0.8, (0.62, 0.42, 0.02)))
+        flesh = n.ramp(juice.outputs["Distance"], (0.0, (0.60, 0.40, 0.035)), (0.8, (0.34, 0.19, 0.010)))
         return {
-            "base_color": n.mix(pith, flesh, (0.88, 0.82, 0.55)),
-            "roughness": n("MapRange", pith, 0, 1, 0.12, 0.6).outputs[0],
+            "base_color": n.mix(pith, flesh, (0.66, 0.58, 0.33)),
+            "roughness": n("MapRange", pith, 0, 1, 0.28, 0.6).outputs[0],
             "normal": n("Bump", strength=0.5, distance=0.001, height=juice.outputs["Distance"]),
         }
 

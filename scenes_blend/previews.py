@@ -16,7 +16,9 @@ ROOT = Path(__file__).resolve().parent.parent
 def main() -> None:
     for name in sys.argv[1:]:
         picture = Image.open(ROOT / "out" / f"{name}.png").convert("RGB")
-        small = picture.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG)
+        # a few rounds of k-means, or else the palette forgets small bright things
+        few = picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=8)
+        small = picture.quantize(palette=few, dither=Image.Dither.FLOYDSTEINBERG)
         target = ROOT / "docs" / "images" / f"{name}.png"
         target.parent.mkdir(parents=True, exist_ok=True)
         small.save(target, optimize=True)
