@@ -262,6 +262,8 @@ class _Kernels:
         if self.wanted["transparent"]:
             self.space.dim(self.space.waiting[:0], 0, np.zeros((0, 3), np.float32))
         self.space.settle(0)
+        if self.space.raises:
+            self.space.raise_origins(0)
         none = LightSamples(*(a[:0] for a in self.space.light_samples))
         self.space.connect(self.now, 0, none)
         self.space.choose_points(self.now, 0, self.alive, 1)

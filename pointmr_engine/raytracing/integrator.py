@@ -73,6 +73,7 @@ class Workspace:
             self.shadows = direct_light.allocate_shadow_rays(n)
             self.shadow_hits = allocate_hits(n)
             self.waiting = np.zeros(n, np.int32)
+            self.triangle = np.zeros((4, 3)), np.zeros((4, 3))
             self.raises = bool(stage.shader.geometry.tables.terminator_offset.any())
         if stage.needs.transparent_shadows and stage.needs.light_samples:
             self.shadow_frames = allocate_frames(n)
@@ -171,8 +172,9 @@ class Workspace:
 
     def raise_origins(self, count: int) -> None:
         raise_origins(
-            self.stage.shader.geometry.tables, self.hits, self.frames, self.lobes.normal, self.shadows, count
-        )
+            self.stage.shader.geometry.tables, self.hits, self.frames, self.lobes.normal, self.shadows, count,
+            *self.triangle,
+        )  # fmt: skip
 
     def settle(self, count: int) -> int:
         return direct_light.settle(

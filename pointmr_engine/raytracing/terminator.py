@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_jit
+@uncounted
 def share_of_height(cos_shading, cos_geometric, cutoff):
     """How far a ray is raised, 0..1, by its cosines to both normals: from 1 at grazing light smoothly to 0."""
     if cos_shading < cutoff:
@@ -26,7 +24,7 @@ def share_of_height(cos_shading, cos_geometric, cutoff):
     return min(max(share, 0.0), 1.0)
 
 
-@_jit
+@uncounted
 def _difference_along(normals, k, points, i, j):
     """Dot product of normal k with points[i] - points[j]."""
     total = 0.0
@@ -35,7 +33,7 @@ def _difference_along(normals, k, points, i, j):
     return total
 
 
-@_jit
+@uncounted
 def height(corners, normals, side, u, v, w):
     """Height of the smooth surface over the flat triangle, in units of the interpolated normal (not unit length).
 
@@ -57,13 +55,13 @@ def height(corners, normals, side, u, v, w):
     return side * max(envelope, 0.5 * side * parabola)
 
 
-@_jit
-def raise_origins(tables, hits, frames, shading_normal, shadows, n):
+@uncounted
+def raise_origins(tables, hits, frames, shading_normal, shadows, n, corners, normals):
     """Move the origins of shadow rays 0..n that start on smooth triangles in grazing light; their ends stay.
 
     shading_normal (N, 3): on the viewer's side, per path. A ray that goes below its triangle may meet it then.
+    corners, normals (4, 3) float64: room to work in.
     """
-    corners, normals = np.zeros((4, 3)), np.zeros((4, 3))
     rays = shadows.rays
     for i in range(n):
         k = np.int64(shadows.source[i])
