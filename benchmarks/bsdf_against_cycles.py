@@ -152,6 +152,13 @@ SETTINGS = {
     "oren-nayar": (leaves.DIFFUSE, LOW, {}, {"color": WHITE_RANGE, "roughness": (0.0, 1.0)}),
     "translucent": (leaves.TRANSLUCENT, BEHIND, {}, {"color": WHITE_RANGE}),
     "sheen": (leaves.SHEEN, LOW, {}, {"color": WHITE_RANGE, "roughness": (0.0, 1.0)}),
+    "velvet": (
+        leaves.SHEEN,
+        LOW,
+        {},
+        {"color": WHITE_RANGE, "roughness": (0.0, 1.0)},
+        {"distribution": "ASHIKHMIN"},
+    ),
     "glossy multi": (leaves.GLOSSY, UP, {}, {"color": WHITE_RANGE, **ROUGH}, {"distribution": "MULTI_GGX"}),
     "glossy ggx": (leaves.GLOSSY, UP, {}, {"color": WHITE_RANGE, **ROUGH}, {"distribution": "GGX"}),
     "glossy beckmann": (leaves.GLOSSY, UP, {}, {"color": WHITE_RANGE, **ROUGH}, {"distribution": "BECKMANN"}),
@@ -282,6 +289,7 @@ DISTRIBUTIONS = {
     "GGX": "ggx",
     "BECKMANN": "beckmann",
     "ASHIKHMIN_SHIRLEY": "ashikhmin_shirley",
+    "ASHIKHMIN": "ashikhmin",
 }
 
 

@@ -88,7 +88,7 @@ COLUMNS: dict[int, tuple[str, ...]] = {
 }
 
 # variants, by name, that a leaf may carry in `distribution`
-DISTRIBUTIONS = ("multi_ggx", "ggx", "beckmann", "sharp", "ashikhmin_shirley")
+DISTRIBUTIONS = ("multi_ggx", "ggx", "beckmann", "sharp", "ashikhmin_shirley", "microfiber", "ashikhmin")
 
 
 @dataclass

@@ -13,7 +13,7 @@ import numpy as np
 
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading import leaves
-from pointmr_engine.shading.bsdf import ashikhmin_shirley, diffuse, microfacet, sheen
+from pointmr_engine.shading.bsdf import ashikhmin_shirley, diffuse, microfacet, sheen, velvet
 from pointmr_engine.shading.bsdf.albedo_tables import Tables, load_tables  # noqa: F401
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
@@ -44,6 +44,7 @@ from pointmr_engine.shading.bsdf.layout import (
     SINGULAR_LOBE,
     TANGENT,
     TRANSLUCENT,
+    VELVET,
     WEIGHT,
     Lobes,
     View,
@@ -158,6 +159,8 @@ def append(
         )
     elif kind in (leaves.DIFFUSE, leaves.SUBSURFACE, leaves.TRANSLUCENT):
         simple.append_diffuse(lobes, rows, view, block, normals, kind == leaves.TRANSLUCENT)
+    elif kind == leaves.SHEEN and leaf.distribution == "ashikhmin":
+        simple.append_velvet(lobes, rows, view, block, normals)
     elif kind == leaves.SHEEN:
         simple.append_sheen(lobes, rows, view, tables, block, normals)
     elif kind == leaves.GLOSSY:
@@ -207,7 +210,7 @@ def _bump_shadowing(lobes, i, j, base, wo, sampled):
     normal = load3(lobes.data, i, j, NORMAL)
     cos_so = dot(ns, wo)
     cos_sn = dot(ns, normal)
-    is_diffuse = base <= TRANSLUCENT
+    is_diffuse = base <= TRANSLUCENT and base != VELVET  # to Cycles velvet is glossy here
     if cos_so * cos_sn * dot(normal, wo) < 0.0 and (is_diffuse or not sampled):
         return 0.0
     if not is_diffuse or not lobes.flags[i] & BUMP_CORRECTION:
@@ -235,6 +238,9 @@ def _diffuse_value(data, i, j, base, wi, wo):
         b = np.float64(data[i, j, ALPHA_Y])
         f = sheen.evaluate(a, b, dot(x, wo), dot(cross(normal, x), wo), cos_no)
         return (f, f, f), f
+    elif base == VELVET:
+        f, pdf = velvet.evaluate(np.float64(data[i, j, ALPHA_X]), normal, wi, wo)
+        return (f, f, f), pdf
     if cos_no <= 0.0:
         return _BLACK, 0.0
     f = cos_no / math.pi
@@ -356,6 +362,8 @@ def sample(lobes, i, wi, u_choose, u1, u2):
             x = load3(lobes.data, i, chosen, TANGENT)
             local = sheen.sample(a, b, u1, u2)
             wo = to_world(local[0], local[1], local[2], x, cross(normal, x), normal)
+        elif base == VELVET:
+            wo = velvet.sample(normal, u1, u2)
         else:
             wo = cosine_hemisphere(normal, u1, u2)
     else:

@@ -32,6 +32,7 @@ ROUGH = {
     "oren-nayar": (leaves.DIFFUSE, {"roughness": 0.9, "weight": (0.9, 0.5, 0.2)}, {}),
     "translucent": (leaves.TRANSLUCENT, {}, {}),
     "sheen": (leaves.SHEEN, {"roughness": 0.4}, {}),
+    "velvet": (leaves.SHEEN, {"roughness": 0.6}, {"distribution": "ashikhmin"}),
     "glossy": (leaves.GLOSSY, {"roughness": 0.6}, {}),
     "glossy beckmann": (leaves.GLOSSY, {"roughness": 0.6}, {"distribution": "beckmann"}),
     "glossy ashikhmin": (leaves.GLOSSY, {"roughness": 0.6}, {"distribution": "ashikhmin_shirley"}),

@@ -144,6 +144,23 @@ def test_reciprocity(name):
     assert there == pytest.approx(back, rel=2e-5)
 
 
+@pytest.mark.parametrize("roughness, sigma", ((0.0, 0.01), (0.3, 0.3), (1.0, 1.0), (2.0, 1.0)))
+def test_velvet_seen_from_above(roughness, sigma):
+    """Along the normal half vectors lie halfway to the light, and Ashikhmin's formula is one of its angle alone."""
+    wi = np.array([0.0, 0.0, 1.0])
+    lb = make_lobes(leaves.SHEEN, wi, {"roughness": roughness}, distribution="ashikhmin")
+    theta = np.linspace(0.02, 1.55, 64)
+    wo = np.stack([np.sin(theta), np.zeros(64), np.cos(theta)], axis=1)
+    half = np.sin(0.5 * theta) ** 2
+    facets = np.exp((1.0 - 1.0 / half) / sigma**2) / (math.pi * sigma**2 * half**2)
+    expected = 0.25 * facets * np.minimum(1.0, 2.0 * np.cos(theta))
+    field = evaluate(lb, wi, wo, 0)
+    assert field[:, :3] == pytest.approx(np.tile(expected[:, None], 3), rel=2e-4 if sigma < 0.1 else 1e-5)
+    assert field[:, 3] == pytest.approx(np.full(64, 0.5 / math.pi))
+    assert np.all(evaluate(lb, wi, wo * [1.0, 1.0, -1.0], 0) == 0.0)
+    assert make_lobes(leaves.SHEEN, -wi, {"roughness": 0.5}, distribution="ashikhmin").count[0] == 0
+
+
 def test_mirror_and_smooth_glass_are_exact():
     wi = viewer(0.6).astype(np.float64)
     lb = make_lobes(leaves.GLOSSY, wi, {"roughness": 0.0})

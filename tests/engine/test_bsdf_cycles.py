@@ -18,6 +18,7 @@ from pointmr_engine.shading import leaves  # noqa: E402
 VALUES = (
     "oren-nayar",
     "sheen",
+    "velvet",
     "glossy multi",
     "glossy beckmann",
     "metallic",
@@ -55,6 +56,15 @@ def test_diffuse_color_is_that_of_cycles():
     reference = probe("ShaderNodeBsdfPrincipled", up, up[0], inputs, attributes, layer="Diffuse Color")
     _, lobes = against.ours(leaves.PRINCIPLED, normals, up[0], {"sheen_weight": 0.3, **drawn})
     assert lobes.diffuse_color == pytest.approx(reference, rel=2e-3, abs=1e-5)
+
+
+def test_velvet_has_no_diffuse_color():
+    up = np.array([[0.0, 0.0, 1.0]])
+    node, defaults, _ = against.NODES[leaves.SHEEN]
+    properties = {"distribution": "ASHIKHMIN"}
+    reference = probe(node, up, up[0], defaults, {"normal": up}, properties, layer="Diffuse Color")
+    _, lobes = against.ours(leaves.SHEEN, up, up[0], {}, distribution="ashikhmin")
+    assert np.all(reference == 0.0) and np.all(lobes.diffuse_color == 0.0) and lobes.count[0] == 1
 
 
 @pytest.mark.parametrize(

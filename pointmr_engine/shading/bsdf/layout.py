@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 # What a lobe is (low byte of Lobes.kind). Order matters: everything up to TRANSLUCENT counts as diffuse.
-LAMBERT, OREN_NAYAR, SHEEN, TRANSLUCENT, REFLECTION, REFRACTION, GLASS, ASHIKHMIN_SHIRLEY = np.arange(1, 9)
+LAMBERT, OREN_NAYAR, SHEEN, VELVET, TRANSLUCENT = np.arange(1, 6)
+REFLECTION, REFRACTION, GLASS, ASHIKHMIN_SHIRLEY = np.arange(6, 10)
 KIND_MASK = 0xFF
 # modifiers, above the low byte
 BECKMANN = 0x100  # microfacet distribution; GGX without it
@@ -26,7 +27,7 @@ WEIGHT = np.int64(0)  # rgb, energy compensation included
 SAMPLE = np.int64(3)  # weight for choosing a lobe
 NORMAL = np.int64(4)  # xyz
 TANGENT = np.int64(7)  # xyz: orthonormal tangent where anisotropic; for sheen too
-ALPHA_X = np.int64(10)  # Oren-Nayar: a; sheen: LTC a
+ALPHA_X = np.int64(10)  # Oren-Nayar: a; sheen: LTC a; velvet: 1 / sigma^2
 ALPHA_Y = np.int64(11)  # Oren-Nayar: b; sheen: LTC b
 IOR = np.int64(12)  # relative: behind / in front
 FILM_THICKNESS = np.int64(13)  # nanometres

@@ -1,4 +1,4 @@
-"""Leaves that become one lobe each: diffuse, translucent, sheen, glossy, metallic, glass, refraction."""
+"""Leaves that become one lobe each: diffuse, translucent, sheen, velvet, glossy, metallic, glass, refraction."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from pointmr_engine.shading.bsdf.layout import (
     FRESNEL_F82,
     FRESNEL_SCHLICK,
     GLASS,
+    HAS_DIFFUSE,
     HAS_EVALUATION,
     IOR,
     LAMBERT,
@@ -31,6 +32,7 @@ from pointmr_engine.shading.bsdf.layout import (
     TINT,
     TRANSLUCENT,
     TRANSMISSION_TINT,
+    VELVET,
 )
 from pointmr_engine.shading.bsdf.principled import FILM_CUTOFF
 from pointmr_engine.shading.bsdf.setup import finish_diffuse, finish_microfacet, push, set_alpha, valid_normal
@@ -128,6 +130,21 @@ def append_sheen(lobes, rows, view, tables, block, normals):
     for k in range(rows.shape[0]):
         i, r, wi, normal = _place(view, normals, block, rows, k)
         push_sheen(lobes, i, tables, wi, normal, _rgb(block, r, _WEIGHT), _unit(block[r, _ROUGHNESS]))
+
+
+@uncounted
+def append_velvet(lobes, rows, view, block, normals):
+    """Sheen leaves of Ashikhmin's older model. Like in Cycles they are no part of the Diffuse Color pass."""
+    for k in range(rows.shape[0]):
+        i, r, wi, normal = _place(view, normals, block, rows, k)
+        if not dot(normal, wi) > 1e-5:
+            continue
+        j = push(lobes, i, VELVET, _rgb(block, r, _WEIGHT), normal)
+        if j < 0:
+            continue
+        sigma = max(_unit(block[r, _ROUGHNESS]), 0.01)
+        lobes.data[i, j, ALPHA_X] = 1.0 / (sigma * sigma)
+        lobes.flags[i] |= np.uint8(HAS_EVALUATION | HAS_DIFFUSE)
 
 
 @device
