@@ -12,9 +12,9 @@ import threading
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.image.frame import CHANNELS, NOTHING, Frame
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.settings import RenderSettings
 
 __all__ = ["Film", "Frame", "TileSums", "add_light", "add_averages", "write_first", "clamp_light"]
@@ -39,7 +39,7 @@ class TileSums(NamedTuple):
     bad: np.ndarray  # (1,) int64: samples that were not finite, and were taken as black
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def clamp_light(r, g, b, limit):
     """A contribution (r, g, b) scaled down so that its mean does not exceed `limit`; 0 means no limit.
 
@@ -52,7 +52,7 @@ def clamp_light(r, g, b, limit):
     return r, g, b
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def add_light(tile: TileSums, pixel, radiance, transparency, start, stop):
     """Add finished paths start..stop to the combined pass, each as one sample of its pixel.
 
@@ -73,7 +73,7 @@ def add_light(tile: TileSums, pixel, radiance, transparency, start, stop):
             tile.bad[0] += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def add_averages(sums, pixel, values, start, stop):
     """Add values (N, 3) to a tile's `emission`, `diffuse_color` or `normal` sums; what is not finite is left out.
 
@@ -90,7 +90,7 @@ def add_averages(sums, pixel, values, start, stop):
             sums[p, 2] += c
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def write_first(tile: TileSums, pixel, depth, position, object_index, material_index, start, stop):
     """Set the unfiltered passes of the pixels of surfaces start..stop, which sample 0 of each pixel sees.
 
@@ -111,7 +111,7 @@ def write_first(tile: TileSums, pixel, depth, position, object_index, material_i
             tile.material_index[p] = material_index[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def write_nothing(tile: TileSums, pixel, start, stop):
     """Set the unfiltered passes to "nothing there", for rays of sample 0 that leave through what is transparent."""
     for k in range(start, stop):

@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.image.filters import filter_offset, filter_table
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_4d
 from pointmr_engine.raytracing.rays import Rays
 from pointmr_engine.scene.camera import Camera
@@ -105,7 +105,7 @@ def _validate(camera: Camera) -> None:
         raise SceneError(f"{name}: focus distance {camera.focus_distance} must be positive")
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def sample_disk(u, v):
     """Point of the unit disk for (u, v) in the unit square, by the concentric mapping."""
     a = 2.0 * u - 1.0
@@ -121,7 +121,7 @@ def sample_disk(u, v):
     return r * math.cos(angle), r * math.sin(angle)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def sample_aperture(lens, u, v):
     """Point of the aperture, in metres on the lens: a disk or a regular polygon, squeezed along x."""
     if lens[2] < 3.0:
@@ -140,7 +140,7 @@ def sample_aperture(lens, u, v):
     return lens[0] * lens[4] * x, lens[0] * y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def camera_ray(camera: CameraArrays, raster_x, raster_y, u_lens, v_lens, rays: Rays, k, width, spread):
     """Ray k through image position (raster_x, raster_y), in pixels, and a lens sample; see `generate_rays`."""
     px = camera.plane[0, 0] + raster_x * camera.plane[1, 0]
@@ -194,7 +194,7 @@ def camera_ray(camera: CameraArrays, raster_x, raster_y, u_lens, v_lens, rays: R
     rays.skip_path[k] = 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def generate_rays(camera: CameraArrays, x, y, u, rays: Rays, width, spread, start, stop):
     """Camera rays k in start..stop through pixels (x[k], y[k]) of the whole image.
 
@@ -208,7 +208,7 @@ def generate_rays(camera: CameraArrays, x, y, u, rays: Rays, width, spread, star
         camera_ray(camera, raster_x, raster_y, u[k, 2], u[k, 3], rays, k, width, spread)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def sample_rays(
     camera: CameraArrays, tables, seed, x, y, sample, rays: Rays, seeds, width, spread, start, stop
 ):
@@ -235,7 +235,7 @@ def window_coordinates(camera: CameraArrays, positions: np.ndarray) -> np.ndarra
     return ((xy - camera.plane[0]) / (camera.plane[1] * camera.size)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def view_depth(camera: CameraArrays, position):
     """Depth of one world position (3,) along the view axis, in metres: the Depth pass of this camera."""
     m = camera.camera_from_world

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.image.film import clamp_light
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.light_sampling import NONE, LightSamples
@@ -19,8 +19,6 @@ from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION
 from pointmr_engine.shading.lobes import evaluate
 
 _SHORT = 1.0 - 1e-6  # shadow rays end this much before the light, so as not to meet what it is made of
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class ShadowRays(NamedTuple):
@@ -39,7 +37,7 @@ def allocate_shadow_rays(n: int) -> ShadowRays:
     return ShadowRays(allocate_rays(n), np.zeros((n, 3)), *zeros)
 
 
-@_jit
+@uncounted
 def choose_points(
     paths: Paths,
     samples: Samples,
@@ -72,7 +70,7 @@ def choose_points(
     return m
 
 
-@_jit
+@uncounted
 def connect(
     paths: Paths, hits: Hits, frames, lobes, limits: Limits, lights: LightSamples, rows, m, out: ShadowRays
 ):
@@ -123,7 +121,7 @@ def connect(
     return n
 
 
-@_jit
+@uncounted
 def settle(shadows: ShadowRays, hits: Hits, samples: Samples, limit, n, waiting):
     """Add the light of shadow rays 0..n that nothing stops; rows that a transparent surface meets go to `waiting`."""
     m = np.int64(0)
@@ -141,7 +139,7 @@ def settle(shadows: ShadowRays, hits: Hits, samples: Samples, limit, n, waiting)
     return m
 
 
-@_jit
+@uncounted
 def dim(shadows: ShadowRays, hits: Hits, frames, waiting, m, share):
     """Shadow rays waiting[0..m] pass their surface, which lets share (m, 3) through; packed to rows 0.. that go on."""
     n = np.int64(0)

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.image.film import clamp_light
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import sample_1d, sample_4d
 from pointmr_engine.raytracing.rays import Rays, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_ray_state
@@ -40,8 +40,6 @@ LAST = 2  # the next surface is the last, transparent or not
 BACKDROP = 4  # nothing but transparent surfaces so far: alpha and passes see through
 PASSES_DONE = 8  # the normal pass has its surface
 THROUGH = 16  # some surface was passed straight
-
-_jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Paths(NamedTuple):
@@ -175,7 +173,7 @@ def start_paths(paths: Paths, n: int) -> None:
         values[:n] = 0
 
 
-@_jit
+@uncounted
 def add_radiance(paths: Paths, samples: Samples, limits: Limits, radiance, weight, n):
     """Add throughput * radiance (n, 3) * weight (n,) of paths 0..n to their samples."""
     for k in range(n):
@@ -193,7 +191,7 @@ def add_radiance(paths: Paths, samples: Samples, limits: Limits, radiance, weigh
         samples.radiance[slot, 2] += b
 
 
-@_jit
+@uncounted
 def see_through(paths: Paths, samples: Samples, missed, n):
     """Paths that meet nothing but a transparent film: their share goes to the sample's transparency."""
     for k in range(n):
@@ -202,7 +200,7 @@ def see_through(paths: Paths, samples: Samples, missed, n):
             samples.transparency[paths.slot[k]] += (float(t[0]) + float(t[1]) + float(t[2])) / 3.0
 
 
-@_jit
+@uncounted
 def hold_out(paths: Paths, samples: Samples, hits, lobes, alive, n):
     """Holdout objects and shaders: what they cover becomes transparency; paths that end here are no longer alive."""
     for k in range(n):
@@ -230,7 +228,7 @@ def hold_out(paths: Paths, samples: Samples, hits, lobes, alive, n):
             alive[k] = False
 
 
-@_jit
+@uncounted
 def average_normals(lobes, rows, out):
     """Normals of the points `rows` as their lobes see them, weighted as they are, into out (len(rows), 3)."""
     for i in range(len(rows)):
@@ -250,7 +248,7 @@ def average_normals(lobes, rows, out):
                 out[i, c] = lobes.normal[k, c]
 
 
-@_jit
+@uncounted
 def finish_final(flags, lobe_count, lobe_flags, alive, n):
     """Paths that may not scatter any more keep only what lies straight behind."""
     for k in range(n):
@@ -262,7 +260,7 @@ def finish_final(flags, lobe_count, lobe_flags, alive, n):
                 lobe_flags[k] = 0
 
 
-@_jit
+@uncounted
 def roulette(throughput, depth, flags, slot, seed, number, tables, bounce, alive, n):
     """Russian roulette by the throughput, once a path has scattered twice or passed a surface."""
     for k in range(n):
@@ -279,7 +277,7 @@ def roulette(throughput, depth, flags, slot, seed, number, tables, bounce, alive
                 throughput[k, c] /= chance
 
 
-@_jit
+@uncounted
 def scatter(paths: Paths, samples: Samples, lobes, tables, bounce, alive, n, out: Scattered):
     """Sample the lobes of the paths 0..n that are alive; those that absorb their path are no longer alive.
 
@@ -308,7 +306,7 @@ def scatter(paths: Paths, samples: Samples, lobes, tables, bounce, alive, n, out
             out.direction[k, a] = wo[a]
 
 
-@_jit
+@uncounted
 def move(
     paths: Paths, hits, frames, scattered: Scattered, normal, flags, limits: Limits, alive, out: Paths, n
 ):
