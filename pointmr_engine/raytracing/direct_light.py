@@ -12,7 +12,7 @@ from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.light_sampling import NONE, LightSamples
-from pointmr_engine.raytracing.paths import FINAL, Limits, Paths, Samples
+from pointmr_engine.raytracing.paths import FINAL, Limits, Paths, Samples, only_diffuse
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_rays
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION
@@ -95,7 +95,7 @@ def connect(
         if seen & TRANSMISSION:
             f0, f1, f2 = f0 + transmission[0], f1 + transmission[1], f2 + transmission[2]
         weight = 1.0 / lights.pdf[i]
-        if lights.mis[i]:
+        if lights.mis[i] and not (limits.diffuse_by_lights and only_diffuse(lobes.count, lobes.kind, k)):
             ratio = pdf / lights.pdf[i]
             weight /= 1.0 + ratio * ratio
         t = paths.throughput[k]

@@ -185,7 +185,17 @@ class Workspace:
         return direct_light.dim(self.shadows, self.shadow_hits, self.shadow_frames, waiting, left, share)
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
-        paths.scatter(now, self.samples, self.lobes, self.stage.tables, bounce, alive, n, self.scattered)
+        paths.scatter(
+            now,
+            self.samples,
+            self.lobes,
+            self.stage.limits,
+            self.stage.tables,
+            bounce,
+            alive,
+            n,
+            self.scattered,
+        )
 
     def move(self, now, then, n: int, alive) -> int:
         return paths.move(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.image.film import clamp_light
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d, sample_4d
 from pointmr_engine.raytracing.rays import Rays, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_ray_state
@@ -16,12 +16,14 @@ from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading.bsdf.layout import (
     HAS_TRANSMISSION,
+    KIND_MASK,
     LABEL_DIFFUSE,
     LABEL_NONE,
     LABEL_REFLECT,
     LABEL_SINGULAR,
     LABEL_TRANSPARENT,
     NORMAL,
+    TRANSLUCENT,
     WEIGHT,
 )
 from pointmr_engine.shading.lobes import sample as sample_lobes
@@ -88,11 +90,17 @@ class Limits(NamedTuple):
     transparent: int
     clamp_direct: float
     clamp_indirect: float
+    diffuse_by_lights: (
+        bool  # points with nothing but a diffuse lobe are lit by light samples alone, and end their path
+    )
     lobe_spread: float  # how much of a lobe's width one of its rays stands for
 
 
-def limits_of(settings: RenderSettings) -> Limits:
-    """The limits that a render's settings set."""
+def limits_of(settings: RenderSettings, stray_light: bool = True) -> Limits:
+    """The limits that a render's settings set. stray_light: something shines that light samples do not find.
+
+    Where one ray stands for a pixel, the second look at the lights that a diffuse ray gives is not worth a walk.
+    """
     return Limits(
         settings.max_bounces,
         settings.diffuse_bounces,
@@ -101,6 +109,7 @@ def limits_of(settings: RenderSettings) -> Limits:
         settings.transparent_max_bounces,
         float(settings.clamp_direct),
         float(settings.clamp_indirect),
+        settings.method == "conventional" and settings.diffuse_bounces == 0 and not stray_light,
         1.0 / math.sqrt(settings.samples),
     )
 
@@ -277,8 +286,14 @@ def roulette(throughput, depth, flags, slot, seed, number, tables, bounce, alive
                 throughput[k, c] /= chance
 
 
+@device
+def only_diffuse(lobe_count, lobe_kind, k):
+    """Whether point k scatters by a diffuse lobe and nothing else."""
+    return lobe_count[k] == 1 and (lobe_kind[k, 0] & KIND_MASK) <= TRANSLUCENT
+
+
 @uncounted
-def scatter(paths: Paths, samples: Samples, lobes, tables, bounce, alive, n, out: Scattered):
+def scatter(paths: Paths, samples: Samples, lobes, limits: Limits, tables, bounce, alive, n, out: Scattered):
     """Sample the lobes of the paths 0..n that are alive; those that absorb their path are no longer alive.
 
     The throughput becomes that of the ray that goes on.
@@ -291,6 +306,9 @@ def scatter(paths: Paths, samples: Samples, lobes, tables, bounce, alive, n, out
         u0, u1, u2, _ = sample_4d(tables, samples.seed[slot], 2 * bounce + 2, samples.number[slot])
         wo, value, pdf, label, alpha, _ = sample_lobes(lobes, k, (-d[0], -d[1], -d[2]), u0, u1, u2)
         if label == LABEL_NONE or not pdf > 0.0:
+            alive[k] = False
+            continue
+        if limits.diffuse_by_lights and label & LABEL_DIFFUSE and only_diffuse(lobes.count, lobes.kind, k):
             alive[k] = False
             continue
         t = paths.throughput[k]

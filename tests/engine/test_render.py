@@ -221,3 +221,12 @@ def test_far_from_the_origin_and_at_any_scale():
     for offset, scale in (((1e6, -1e6, 1e6), 1.0), ((0, 0, 0), 1e4), ((0, 0, 0), 1e-4)):
         image = moved(offset, scale)
         assert np.abs(image - reference).mean() < 2e-3, (offset, scale)
+
+
+def test_one_ray_a_pixel_looks_at_the_lights_once_on_diffuse_surfaces():
+    """`conventional` sends no second ray to find the lights again, and is as bright as `distributed` without it."""
+    scene = lit_floor(world=uniform_world((0.5, 0.5, 0.5)))
+    one = render(scene, replace(TINY, width=64, height=64, method="conventional"))
+    assert one.stats["counters"].get("scattered_rays", 0) == 0
+    many = combined(scene, samples=64, width=64, height=64)
+    assert one.passes["combined"][..., :3].mean() == pytest.approx(many[..., :3].mean(), rel=0.03)
