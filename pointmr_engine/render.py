@@ -196,7 +196,7 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
         camera,
         settings,
         needs,
-        limits_of(settings, stray_light=lights.only_met),
+        limits_of(settings, only_met=lights.only_met),
         np.array(index, np.int32),
     )
 

@@ -96,8 +96,8 @@ class Limits(NamedTuple):
     lobe_spread: float  # how much of a lobe's width one of its rays stands for
 
 
-def limits_of(settings: RenderSettings, stray_light: bool = True) -> Limits:
-    """The limits that a render's settings set. stray_light: something shines that light samples do not find.
+def limits_of(settings: RenderSettings, only_met: bool = True) -> Limits:
+    """The limits that a render's settings set. only_met: something shines that light samples do not find.
 
     Where one ray stands for a pixel, the second look at the lights that a diffuse ray gives is not worth a walk.
     """
@@ -109,7 +109,7 @@ def limits_of(settings: RenderSettings, stray_light: bool = True) -> Limits:
         settings.transparent_max_bounces,
         float(settings.clamp_direct),
         float(settings.clamp_indirect),
-        settings.method == "conventional" and settings.diffuse_bounces == 0 and not stray_light,
+        settings.method == "conventional" and settings.diffuse_bounces == 0 and not only_met,
         1.0 / math.sqrt(settings.samples),
     )
 

@@ -50,11 +50,13 @@ from pointmr_engine.shading.bsdf.vector import (
     load3,
     multiply,
     normalized,
+    positive3,
     rotate_about,
     row3,
     scale,
     store3,
     tangent_towards,
+    unit_interval,
 )
 from pointmr_engine.shading.leaves import COLUMNS, PRINCIPLED
 
@@ -90,20 +92,6 @@ _ASK = (-1.0, -1.0, -1.0)
 
 
 @device
-def _unit(x):
-    return min(max(np.float64(x), 0.0), 1.0)
-
-
-@device
-def _positive3(block, r, column):
-    return (
-        max(np.float64(block[r, column]), 0.0),
-        max(np.float64(block[r, column + 1]), 0.0),
-        max(np.float64(block[r, column + 2]), 0.0),
-    )
-
-
-@device
 def _at_most_one(c):
     return min(c[0], 1.0), min(c[1], 1.0), min(c[2], 1.0)
 
@@ -136,8 +124,8 @@ def _set_facets(lobes, i, j, alpha_x, alpha_y, anisotropic, tangent, film, film_
 @device
 def _base_diffuse(lobes, i, wi, normal, weight, base, block, r):
     """The bottom: diffuse, with subsurface scattering as Lambert."""
-    subsurface = _unit(block[r, _SUBSURFACE])
-    roughness = _unit(block[r, _DIFFUSE_ROUGHNESS])
+    subsurface = unit_interval(block[r, _SUBSURFACE])
+    roughness = unit_interval(block[r, _DIFFUSE_ROUGHNESS])
     smooth = roughness < WEIGHT_CUTOFF
     share = scale(1.0 - subsurface, multiply(base, weight))
     if subsurface > WEIGHT_CUTOFF:
@@ -176,17 +164,17 @@ def append(
         free = not view.diffuse_ray[i]
         reflects = reflective or free
         refracts = refractive or free
-        weight = _positive3(block, r, _WEIGHT)
-        base = _positive3(block, r, _BASE)
+        weight = positive3(block, r, _WEIGHT)
+        base = positive3(block, r, _BASE)
         color = _at_most_one(base)
         ior = max(np.float64(block[r, _IOR]), 1e-5)
-        roughness = _unit(block[r, _ROUGHNESS])
-        tint = _positive3(block, r, _SPECULAR_TINT)
+        roughness = unit_interval(block[r, _ROUGHNESS])
+        tint = positive3(block, r, _SPECULAR_TINT)
         film = np.float64(block[r, _FILM])
         film_ior = max(np.float64(block[r, _FILM_IOR]), 1e-5)
         alpha_x = roughness * roughness
         alpha_y = alpha_x
-        anisotropy = _unit(block[r, _ANISOTROPIC])
+        anisotropy = unit_interval(block[r, _ANISOTROPIC])
         anisotropic = anisotropy > 0.0 and dot(tangent, tangent) > 0.0
         if anisotropic:
             aspect = math.sqrt(1.0 - 0.9 * anisotropy)
@@ -197,7 +185,7 @@ def append(
                 tangent = rotate_about(tangent, normal, 2.0 * math.pi * rotation)
         lifted = valid_normal(lobes, i, wi, normal)
 
-        opacity = _unit(block[r, _ALPHA])
+        opacity = unit_interval(block[r, _ALPHA])
         if opacity < 1.0:
             for c in range(3):
                 lobes.transparency[i, c] += weight[c] * (1.0 - opacity)
@@ -208,12 +196,12 @@ def append(
         if strength > WEIGHT_CUTOFF:
             share = min(coat, 1.0)
             top = normalized(combine(1.0 - share, normal, share, coat_normal), normal)
-            fuzz = scale(strength, multiply(_positive3(block, r, _SHEEN_TINT), weight))
+            fuzz = scale(strength, multiply(positive3(block, r, _SHEEN_TINT), weight))
             weight = below(
-                push_sheen(lobes, i, tables, wi, top, fuzz, _unit(block[r, _SHEEN_ROUGHNESS])), weight
+                push_sheen(lobes, i, tables, wi, top, fuzz, unit_interval(block[r, _SHEEN_ROUGHNESS])), weight
             )
-        metallic = _unit(block[r, _METALLIC])
-        transmission = _unit(block[r, _TRANSMISSION])
+        metallic = unit_interval(block[r, _METALLIC])
+        transmission = unit_interval(block[r, _TRANSMISSION])
         eta = ior
         f0 = f0_of_ior(ior)
         level = max(np.float64(block[r, _SPECULAR_LEVEL]), 0.0)
@@ -250,7 +238,7 @@ def append(
             if j >= 0:
                 if layer == _LAYER_COAT:
                     data[i, j, IOR] = coat_ior
-                    coat_roughness = _unit(block[r, _COAT_ROUGHNESS])
+                    coat_roughness = unit_interval(block[r, _COAT_ROUGHNESS])
                     set_alpha(lobes, i, j, coat_roughness * coat_roughness, coat_roughness * coat_roughness)
                 else:
                     facets_x = alpha_x
@@ -287,7 +275,7 @@ def append(
             else:
                 weight = below(taken, weight)
             if layer == _LAYER_COAT:
-                coat_tint = _positive3(block, r, _COAT_TINT)
+                coat_tint = positive3(block, r, _COAT_TINT)
                 if coat > WEIGHT_CUTOFF and (
                     coat_tint[0] != 1.0 or coat_tint[1] != 1.0 or coat_tint[2] != 1.0
                 ):

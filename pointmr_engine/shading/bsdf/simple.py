@@ -40,11 +40,13 @@ from pointmr_engine.shading.bsdf.sheen_lobe import push_sheen
 from pointmr_engine.shading.bsdf.vector import (
     dot,
     normalized,
+    positive3,
     rotate_about,
     row3,
     scale,
     store3,
     tangent_towards,
+    unit_interval,
 )
 from pointmr_engine.shading.leaves import COLUMNS
 from pointmr_engine.shading.leaves import DIFFUSE as DIFFUSE_LEAF
@@ -68,25 +70,11 @@ _ASK = (-1.0, -1.0, -1.0)
 
 
 @device
-def _unit(x):
-    return min(max(np.float64(x), 0.0), 1.0)
-
-
-@device
-def _rgb(block, r, column):
-    return (
-        max(np.float64(block[r, column]), 0.0),
-        max(np.float64(block[r, column + 1]), 0.0),
-        max(np.float64(block[r, column + 2]), 0.0),
-    )
-
-
-@device
 def _color(block, r, column):
     """The leaf's own colour; its weight where the colour was not given."""
-    color = _rgb(block, r, column)
+    color = positive3(block, r, column)
     if color[0] == 0.0 and color[1] == 0.0 and color[2] == 0.0:
-        return _rgb(block, r, _WEIGHT)
+        return positive3(block, r, _WEIGHT)
     return color
 
 
@@ -113,7 +101,7 @@ def append_diffuse(lobes, rows, view, block, normals, translucent):
             roughness = np.float64(block[r, _ROUGHNESS])
             if roughness >= 1e-5:
                 kind = OREN_NAYAR
-        j = push(lobes, i, kind, _rgb(block, r, _WEIGHT), normal)
+        j = push(lobes, i, kind, positive3(block, r, _WEIGHT), normal)
         if j < 0:
             continue
         if kind == OREN_NAYAR:
@@ -129,7 +117,9 @@ def append_sheen(lobes, rows, view, tables, block, normals):
     """Sheen leaves (microfibre model)."""
     for k in range(rows.shape[0]):
         i, r, wi, normal = _place(view, normals, block, rows, k)
-        push_sheen(lobes, i, tables, wi, normal, _rgb(block, r, _WEIGHT), _unit(block[r, _ROUGHNESS]))
+        push_sheen(
+            lobes, i, tables, wi, normal, positive3(block, r, _WEIGHT), unit_interval(block[r, _ROUGHNESS])
+        )
 
 
 @uncounted
@@ -139,10 +129,10 @@ def append_velvet(lobes, rows, view, block, normals):
         i, r, wi, normal = _place(view, normals, block, rows, k)
         if not dot(normal, wi) > 1e-5:
             continue
-        j = push(lobes, i, VELVET, _rgb(block, r, _WEIGHT), normal)
+        j = push(lobes, i, VELVET, positive3(block, r, _WEIGHT), normal)
         if j < 0:
             continue
-        sigma = max(_unit(block[r, _ROUGHNESS]), 0.01)
+        sigma = max(unit_interval(block[r, _ROUGHNESS]), 0.01)
         lobes.data[i, j, ALPHA_X] = 1.0 / (sigma * sigma)
         lobes.flags[i] |= np.uint8(HAS_EVALUATION | HAS_DIFFUSE)
 
@@ -165,10 +155,10 @@ def append_glossy(lobes, rows, view, tables, block, normals, tangents, reflectiv
         if not (reflective or not view.diffuse_ray[i]):
             continue
         lifted = valid_normal(lobes, i, wi, normal)
-        j = push(lobes, i, base, _rgb(block, r, _WEIGHT), lifted)
+        j = push(lobes, i, base, positive3(block, r, _WEIGHT), lifted)
         if j < 0:
             continue
-        roughness = _unit(block[r, _ROUGHNESS])
+        roughness = unit_interval(block[r, _ROUGHNESS])
         alpha_x = roughness * roughness
         alpha_y = alpha_x
         anisotropy = min(max(np.float64(block[r, _SECOND]), -0.99), 0.99)
@@ -202,13 +192,13 @@ def append_metallic(lobes, rows, view, tables, block, normals, tangents, reflect
         if not (reflective or not view.diffuse_ray[i]):
             continue
         lifted = valid_normal(lobes, i, wi, normal)
-        j = push(lobes, i, REFLECTION | FRESNEL_F82 | modifiers, _rgb(block, r, _WEIGHT), lifted)
+        j = push(lobes, i, REFLECTION | FRESNEL_F82 | modifiers, positive3(block, r, _WEIGHT), lifted)
         if j < 0:
             continue
-        roughness = _unit(block[r, _METALLIC_ROUGHNESS])
+        roughness = unit_interval(block[r, _METALLIC_ROUGHNESS])
         alpha_x = roughness * roughness
         alpha_y = alpha_x
-        anisotropy = _unit(block[r, _METALLIC_ROUGHNESS + 1])
+        anisotropy = unit_interval(block[r, _METALLIC_ROUGHNESS + 1])
         tangent = row3(tangents, k if tangents.shape[0] > 1 else 0)
         if anisotropy > 0.0 and dot(tangent, tangent) > 0.0:
             aspect = math.sqrt(1.0 - 0.9 * anisotropy)
@@ -218,9 +208,9 @@ def append_metallic(lobes, rows, view, tables, block, normals, tangents, reflect
             _set_tangent(lobes, i, j, lifted, normal, tangent, rotation)
         lobes.data[i, j, IOR] = 1.0
         for c in range(3):
-            f0 = _unit(block[r, _METALLIC_BASE + c])
+            f0 = unit_interval(block[r, _METALLIC_BASE + c])
             lobes.data[i, j, F0 + c] = f0
-            lobes.data[i, j, TINT + c] = f82_term(f0, _unit(block[r, _METALLIC_EDGE + c]))
+            lobes.data[i, j, TINT + c] = f82_term(f0, unit_interval(block[r, _METALLIC_EDGE + c]))
         _set_film(lobes, i, j, np.float64(block[r, _METALLIC_FILM]), np.float64(block[r, _METALLIC_FILM + 1]))
         set_alpha(lobes, i, j, alpha_x, alpha_y)
         finish_microfacet(lobes.kind[i, j], lobes.data, i, j, tables, wi, multiple, _ASK)
@@ -243,7 +233,7 @@ def append_glass(lobes, rows, view, tables, block, normals, reflective, refracti
         refracts = refractive or not view.diffuse_ray[i]
         color = _color(block, r, _GLASS_COLOR)
         # the colour is the facets' tint, so that the compensation sees it; the rest stays in the weight
-        weight = _rgb(block, r, _WEIGHT)
+        weight = positive3(block, r, _WEIGHT)
         share = 0.0
         for c in range(3):
             if color[c] > 0.0:
@@ -260,7 +250,7 @@ def append_glass(lobes, rows, view, tables, block, normals, reflective, refracti
         if j < 0:
             continue
         ior = max(np.float64(block[r, _SECOND]), 1e-5)
-        roughness = _unit(block[r, _ROUGHNESS])
+        roughness = unit_interval(block[r, _ROUGHNESS])
         f0 = f0_of_ior(ior)
         lobes.data[i, j, IOR] = 1.0 / ior if view.backfacing[i] else ior
         store3(lobes.data, i, j, F0, (f0, f0, f0))
@@ -282,7 +272,7 @@ def append_refraction(lobes, rows, view, block, normals, refractive, modifiers):
         if not (refractive or not view.diffuse_ray[i]):
             continue
         j = push(
-            lobes, i, REFRACTION | modifiers, _rgb(block, r, _WEIGHT), valid_normal(lobes, i, wi, normal)
+            lobes, i, REFRACTION | modifiers, positive3(block, r, _WEIGHT), valid_normal(lobes, i, wi, normal)
         )
         if j < 0:
             continue

@@ -139,3 +139,19 @@ def cosine_hemisphere(normal, u1, u2):
         bitangent,
         normal,
     )
+
+
+@device
+def unit_interval(x):
+    """x as float64, clamped to 0..1."""
+    return min(max(np.float64(x), 0.0), 1.0)
+
+
+@device
+def positive3(block, r, column):
+    """Three columns of row r of a leaf's block as float64, none below 0."""
+    return (
+        max(np.float64(block[r, column]), 0.0),
+        max(np.float64(block[r, column + 1]), 0.0),
+        max(np.float64(block[r, column + 2]), 0.0),
+    )
