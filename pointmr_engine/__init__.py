@@ -15,13 +15,14 @@ from pointmr_engine.scene.light import Light
 from pointmr_engine.scene.material import Material, emission, principled
 from pointmr_engine.scene.mesh import Attribute, Mesh
 from pointmr_engine.scene.scene import Scene
-from pointmr_engine.scene.settings import RenderSettings
+from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 from pointmr_engine.scene.texture import Image
 from pointmr_engine.scene.world import World, uniform_world
 
 __all__ = [
     "Attribute",
     "Camera",
+    "ForwardSettings",
     "Frame",
     "Group",
     "Image",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pointmr_engine.scene.errors import SceneError
 
-METHODS = ("conventional", "distributed")
+METHODS = ("conventional", "distributed", "forward")
 FILTERS = ("box", "gaussian", "blackman_harris")
 PASSES = (
     "combined",
@@ -20,6 +20,70 @@ PASSES = (
     "material_index",
     "sample_count",
 )
+
+SAMPLINGS = ("static", "dynamic")
+DRAWS = ("random", "stratified", "poisson")
+STRATEGIES = ("random", "jittered_grid", "quantised_grid", "neighbourhood")
+RECONSTRUCTIONS = ("pixel", "gaussian", "subpixel", "analytic")
+SHADINGS = ("simple", "full")
+SUBPIXELS = (4, 8)
+SAMPLES_PER_PIXEL = (0.05, 64.0)
+
+
+@dataclass
+class ForwardSettings:
+    """Settings of method "forward", which projects surface samples onto the image.
+
+    sampling: "static" takes samples made before the render, of which a hierarchy holds every resolution; "dynamic"
+    draws new ones from the triangles for each image.
+    samples_per_pixel: density, per pixel's area; samples lie 1/sqrt(samples_per_pixel) pixels apart.
+    epsilon: dynamic; a box is sampled at one density where (z_max/z_min)^2 <= 1 + epsilon.
+    draws: dynamic; how samples are spread over the surface. strategy: static; which samples are kept.
+    failure: the probability that an image of random samples has a hole.
+    subpixels: per side of a pixel, for reconstruction "subpixel".
+    shading: "full" evaluates materials at every fragment, "simple" takes baked colours under Lambert's law.
+    cache_folder: where sample sets are kept between runs; None: nowhere.
+    """
+
+    sampling: str = "static"
+    samples_per_pixel: float = 1.0
+    epsilon: float = 0.5
+    failure: float = 1e-3
+    draws: str = "stratified"
+    strategy: str = "neighbourhood"
+    reconstruction: str = "subpixel"
+    subpixels: int = 4
+    shading: str = "full"
+    shadows: bool = True
+    backface_culling: bool = False
+    occlusion_culling: bool = True
+    cache_folder: str | None = None
+
+    def validate(self) -> None:
+        """Raise SceneError for a value that no render could honour, naming its field."""
+        for name, choices in (
+            ("sampling", SAMPLINGS),
+            ("draws", DRAWS),
+            ("strategy", STRATEGIES),
+            ("reconstruction", RECONSTRUCTIONS),
+            ("subpixels", SUBPIXELS),
+            ("shading", SHADINGS),
+        ):
+            value = getattr(self, name)
+            if value not in choices:
+                raise SceneError(f"forward.{name} = {value!r} is not one of {', '.join(map(str, choices))}")
+        low, high = SAMPLES_PER_PIXEL
+        if not low <= self.samples_per_pixel <= high:
+            raise SceneError(f"forward.samples_per_pixel = {self.samples_per_pixel} is outside {low}..{high}")
+        if not (self.epsilon > 0.0 and math.isfinite(self.epsilon)):
+            raise SceneError(f"forward.epsilon = {self.epsilon} must be positive and finite")
+        if not 0.0 < self.failure < 1.0:
+            raise SceneError(f"forward.failure = {self.failure} must lie between 0 and 1, both excluded")
+        for name in ("shadows", "backface_culling", "occlusion_culling"):
+            if getattr(self, name) not in (True, False):
+                raise SceneError(f"forward.{name} = {getattr(self, name)!r} is neither True nor False")
+        if self.cache_folder is not None and not (isinstance(self.cache_folder, str) and self.cache_folder):
+            raise SceneError(f"forward.cache_folder = {self.cache_folder!r} must be a path, or None")
 
 
 @dataclass
@@ -51,6 +115,7 @@ class RenderSettings:
     )
     passes: tuple[str, ...] = ("combined", "depth")
     threads: int = 0  # 0: one per core
+    forward: ForwardSettings = field(default_factory=ForwardSettings)  # of method "forward" alone
 
     def validate(self) -> None:
         """Raise SceneError for a value that no render could honour."""
@@ -75,3 +140,4 @@ class RenderSettings:
                 raise SceneError(
                     f"region {self.region} is empty or outside the {self.width}x{self.height} image"
                 )
+        self.forward.validate()

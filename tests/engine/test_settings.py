@@ -1,0 +1,40 @@
+"""Settings say by name what no render could honour."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from pointmr_engine import ForwardSettings, RenderSettings, SceneError
+
+
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [
+        ("sampling", ["static", "dynamic"], ["", "Static", None]),
+        ("draws", ["random", "stratified", "poisson"], ["sobol"]),
+        ("strategy", ["random", "jittered_grid", "quantised_grid", "neighbourhood"], ["grid"]),
+        ("reconstruction", ["pixel", "gaussian", "subpixel", "analytic"], ["box"]),
+        ("shading", ["simple", "full"], ["none"]),
+        ("subpixels", [4, 8], [0, 1, 5, 16]),
+        ("samples_per_pixel", [0.05, 1.0, 64.0], [0.0, 0.049, 64.1, -1.0, math.nan, math.inf]),
+        ("epsilon", [1e-3, 0.5, 8.0], [0.0, -0.5, math.nan, math.inf]),
+        ("failure", [1e-9, 0.5], [0.0, 1.0, -0.1, math.nan]),
+        ("shadows", [True, False], ["no", None]),
+        ("backface_culling", [True, False], ["no", None]),
+        ("occlusion_culling", [True, False], ["no", None]),
+        ("cache_folder", [None, "sets"], ["", 3]),
+    ],
+)
+def test_forward_settings(name, good, bad):
+    for value in good:
+        RenderSettings(method="forward", forward=ForwardSettings(**{name: value})).validate()
+    for value in bad:
+        with pytest.raises(SceneError, match=f"forward.{name} "):
+            RenderSettings(method="forward", forward=ForwardSettings(**{name: value})).validate()
+
+
+def test_settings_do_not_share_their_parts():
+    RenderSettings().forward.samples_per_pixel = 4.0
+    assert RenderSettings().forward.samples_per_pixel == 1.0
