@@ -1,0 +1,115 @@
+"""Transforms of nested placements into camera space, composed in float64 as a walk meets them.
+
+A row belongs to one placement of one group. Its matrix takes positions relative to `octree.group_center[group]`: boxes
+and positions stored in float32 are multiplied as they are, for the large numbers of a world cancel here, once per row.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.pointers import pointer_f64
+
+
+class Transforms(NamedTuple):
+    """K placements of groups, a parent before those below it."""
+
+    matrix: (
+        np.ndarray
+    )  # (K, 12) float64: (3, 4) camera_from_group, of positions relative to the group's centre
+    parent: np.ndarray  # (K,) int32 row of the placement that this one lies in, -1: none, the root
+    record: np.ndarray  # (K,) int32 scene-wide instance record, -1: the root
+    group: np.ndarray  # (K,) int32
+
+
+def allocate_transforms(capacity: int) -> Transforms:
+    """Room for `capacity` rows, undefined."""
+    return Transforms(
+        np.empty((capacity, 12)),
+        np.empty(capacity, np.int32),
+        np.empty(capacity, np.int32),
+        np.empty(capacity, np.int32),
+    )
+
+
+def grow_transforms(transforms: Transforms, used: int, capacity: int) -> Transforms:
+    """Room for `capacity` rows, of which the first `used` are copied."""
+    larger = allocate_transforms(capacity)
+    for old, new in zip(transforms, larger, strict=True):
+        new[:used] = old[:used]
+    return larger
+
+
+@uncounted
+def compose_root(transforms: Transforms, camera_from_world, octree, group, out_row):
+    """Row `out_row` for the root group; camera_from_world (3, 4) float64, octree: OctreeArrays."""
+    m = transforms.matrix
+    x, y, z = octree.group_center[group, 0], octree.group_center[group, 1], octree.group_center[group, 2]
+    for r in range(3):
+        a, b, c = camera_from_world[r, 0], camera_from_world[r, 1], camera_from_world[r, 2]
+        m[out_row, 4 * r] = a
+        m[out_row, 4 * r + 1] = b
+        m[out_row, 4 * r + 2] = c
+        m[out_row, 4 * r + 3] = a * x + b * y + c * z + camera_from_world[r, 3]
+    transforms.parent[out_row] = -1
+    transforms.record[out_row] = -1
+    transforms.group[out_row] = group
+
+
+@uncounted
+def placed_group(instances, batch, placement):
+    """Index of the group that placement `placement` of a batch places; instances: BatchTables."""
+    row = np.int64(instances.group_first[batch])
+    first = instances.group[batch, 0]
+    if first >= 0:
+        row += np.int64(instances.group_values[first + instances.group[batch, 1] * placement])
+    return np.int64(instances.batch_groups[row])
+
+
+@uncounted
+def compose(transforms: Transforms, parent_row, octree, instances, batch, placement, out_row):
+    """Row `out_row`: the placement `placement` of batch `batch`, met inside row `parent_row`. Returns its group.
+
+    octree: OctreeArrays; instances: BatchTables; indices int64.
+    """
+    m = transforms.matrix
+    outer = np.int64(transforms.group[parent_row])
+    group = placed_group(instances, batch, placement)
+    t = pointer_f64(instances.transforms[batch])
+    at = 12 * placement
+    x, y, z = octree.group_center[group, 0], octree.group_center[group, 1], octree.group_center[group, 2]
+    # where the child's centre lies, relative to the parent group's
+    ox = t[at] * x + t[at + 1] * y + t[at + 2] * z + t[at + 3] - octree.group_center[outer, 0]
+    oy = t[at + 4] * x + t[at + 5] * y + t[at + 6] * z + t[at + 7] - octree.group_center[outer, 1]
+    oz = t[at + 8] * x + t[at + 9] * y + t[at + 10] * z + t[at + 11] - octree.group_center[outer, 2]
+    for r in range(3):
+        a, b, c = m[parent_row, 4 * r], m[parent_row, 4 * r + 1], m[parent_row, 4 * r + 2]
+        m[out_row, 4 * r] = a * t[at] + b * t[at + 4] + c * t[at + 8]
+        m[out_row, 4 * r + 1] = a * t[at + 1] + b * t[at + 5] + c * t[at + 9]
+        m[out_row, 4 * r + 2] = a * t[at + 2] + b * t[at + 6] + c * t[at + 10]
+        m[out_row, 4 * r + 3] = a * ox + b * oy + c * oz + m[parent_row, 4 * r + 3]
+    transforms.parent[out_row] = parent_row
+    transforms.record[out_row] = instances.first_record[batch] + placement
+    transforms.group[out_row] = group
+    return group
+
+
+@uncounted
+def box_to_camera(matrix, row, box, node, out):
+    """Bounds in camera space of box[node] (lower, upper, relative to the group's centre), under matrix[row].
+
+    out (6,) float64: filled with lower x, y, z, upper x, y, z. Exact but for rounding in float64: it is the box's image
+    under the affine map, bounded along the camera's axes.
+    """
+    for r in range(3):
+        low = high = matrix[row, 4 * r + 3]
+        for c in range(3):
+            a = matrix[row, 4 * r + c]
+            p, q = a * box[node, c], a * box[node, 3 + c]
+            low += min(p, q)
+            high += max(p, q)
+        out[r] = low
+        out[3 + r] = high
