@@ -16,11 +16,13 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.numerics.pointers import address_of, pointer_f32, pointer_f64, pointer_i32
+from pointmr_engine.numerics.pointers import pointer_f64
 from pointmr_engine.numerics.transforms import is_singular
 from pointmr_engine.scene.group import CAMERA
 
-MAX_LEVEL = 19  # 19 * 3 bits of position and 5 of level fill a sort key
+CHAIN = 3  # levels above the cell that fits a group: what a group is drawn from when it is smaller than its samples
+DIVISIONS = 19  # of that cell: 19 * 3 bits of position and 5 of level fill a sort key
+MAX_LEVEL = CHAIN + DIVISIONS
 LEAF_TRIANGLES = 8  # nodes of this many triangles, and no instance, are not split
 SPACING = 0.125  # of a cell's side: the distance of its samples
 KEPT_POINTS = 3.0  # a triangle of more samples than this is kept as it is (talk: "say > 3 points")
@@ -33,7 +35,7 @@ class OctreeArrays(NamedTuple):
 
     box: np.ndarray  # (N, 6) float32: lower x, y, z, upper x, y, z of all that lies below
     side: np.ndarray  # (N,) float32, of the node's cell
-    level: np.ndarray  # (N,) int32, 0: the group's root
+    level: np.ndarray  # (N,) int32, 0: the group's root, CHAIN: the cell that fits the group
     child: (
         np.ndarray
     )  # (N, 2) int32: first child, number of children (they are neighbours); 0 children: a leaf
@@ -45,7 +47,9 @@ class OctreeArrays(NamedTuple):
     item_level: np.ndarray  # (M,) int32: level whose cells fit the item
     group_root: np.ndarray  # (G,) int32 node, -1: nothing in the group
     group_center: np.ndarray  # (G, 3) float64
-    group_side: np.ndarray  # (G,) float64: side of the root's cell
+    group_side: (
+        np.ndarray
+    )  # (G,) float64: side of the cell that fits the group; the root's is 2**CHAIN times it
     part_offset: np.ndarray  # (P, 3) float64: where stored positions are zero, in the mesh's space
 
 
@@ -253,7 +257,7 @@ def _build_group(rows, centers, boxes, size, side: float):
     _large_ends(ints, levels)
     box = np.empty((used, 6), np.float32)
     _bound(ints, order, boxes, box)
-    sides = np.ldexp(np.float32(side), -ints[:, 0]).astype(np.float32)
+    sides = np.ldexp(np.float32(side), CHAIN - ints[:, 0]).astype(np.float32)
     return (box, sides, ints[:, 0].copy(), ints[:, 1:3].copy(), ints[:, 3:7].copy()), order, levels
 
 
@@ -269,17 +273,17 @@ def _spread(x):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sort_keys(centers, size, side, keys, levels):
-    cells = np.float64(1 << MAX_LEVEL)
+    cells = np.float64(1 << DIVISIONS)
     for i in range(len(keys)):
         level = MAX_LEVEL
         if size[i] > 0.0:
-            level = min(MAX_LEVEL, max(0, int(np.floor(np.log2(side / size[i])))))
+            level = min(MAX_LEVEL, max(0, CHAIN + int(np.floor(np.log2(side / size[i])))))
         code = np.uint64(0)
         for k in range(3):
             x = (centers[i, k] / side + 0.5) * cells
             x = min(max(x, 0.0), cells - 1.0)
             code |= _spread(np.uint64(x)) << np.uint64(k)
-        down = np.uint64(3 * (MAX_LEVEL - level))
+        down = np.uint64(3 * (MAX_LEVEL - max(level, CHAIN)))
         code = (code >> down) << down
         keys[i] = (code << np.uint64(5)) | np.uint64(level)
         levels[i] = level
@@ -308,6 +312,8 @@ def _split(keys, levels, instances, out):
             shift = np.uint64(3 * (MAX_LEVEL - level - 1) + 5)
             digit = keys[at] >> shift
             low, high = at + 1, end  # first item past this child's cell, by bisection
+            if level < CHAIN:
+                low = end
             while low < high:
                 middle = (low + high) // 2
                 if keys[middle] >> shift == digit:
