@@ -54,7 +54,7 @@ def build_parser() -> argparse.ArgumentParser:
     add(
         "--method",
         metavar="NAME",
-        help="conventional, distributed, ...; default, here and below: as the file has it",
+        help="conventional, distributed or forward; default, here and below: as the file has it",
     )
     add("--samples", type=_positive, metavar="N", help="samples per pixel")
     add("--size", type=_size, metavar="640x480", help="size of the image in pixels")
@@ -83,6 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     add("-v", "--verbose", action="store_true", help="show Blender's own output")
     add("--worker", action="store_true", help=argparse.SUPPRESS)
+    _add_forward(render.add_argument_group("method forward", "Choices are explained in Blender's panel."))
 
     info = commands.add_parser("info", help="say what a .blend file holds, as the renderer sees it")
     info.set_defaults(run=_run_info)
@@ -90,6 +91,33 @@ def build_parser() -> argparse.ArgumentParser:
     info.add_argument("--json", action="store_true", help="as JSON")
     info.add_argument("--scripts", action="store_true", help="run the file's Python scripts and drivers")
     return parser
+
+
+# The properties of scene.pointmr that --method forward reads: what their options take, and say.
+FORWARD = {
+    "forward_sampling": ("NAME", "samples made once, or drawn for each image: static, dynamic"),
+    "forward_samples_per_pixel": ("X", "surface samples for each pixel's area, 0.05 to 64; also: --samples"),
+    "forward_epsilon": ("X", "dynamic: how unevenly one box may be sampled"),
+    "forward_failure": ("X", "random samples: probability of a hole in the image"),
+    "forward_draws": ("NAME", "dynamic: random, stratified, poisson"),
+    "forward_strategy": ("NAME", "static: random, jittered_grid, quantised_grid, neighbourhood"),
+    "forward_reconstruction": ("NAME", "pixel, gaussian, subpixel, analytic"),
+    "forward_subpixels": ("N", "subpixels along a pixel's side: 4, 8"),
+    "forward_shading": ("NAME", "simple: colours as when sampled; full: materials at what is visible"),
+    "forward_shadows": (None, "shadows by depth maps"),
+    "forward_backface_culling": (None, "leave out surfaces seen from behind"),
+    "forward_occlusion_culling": (None, "leave out what is hidden"),
+    "forward_keep_sets": (None, "static: keep sample sets on disk for the next run"),
+}
+
+
+def _add_forward(group) -> None:
+    for name, (takes, text) in FORWARD.items():
+        option = "--" + name.replace("_", "-")
+        if takes is None:
+            group.add_argument(option, action=argparse.BooleanOptionalAction, help=text)
+        else:
+            group.add_argument(option, metavar=takes, help=text)
 
 
 def _number(text: str, least: int) -> int:

@@ -106,7 +106,7 @@ class PointMRRender(bpy.types.RenderEngine):
             finished = self._watch(job, result, layer, cold)
             if finished:
                 write_passes(result, layer, job.frame)
-                self._stamp(job.frame)
+                self._stamp(job.frame, settings)
                 observer.current.finished(layer.name, job.frame)
         finally:
             job.cancel()
@@ -141,12 +141,15 @@ class PointMRRender(bpy.types.RenderEngine):
             raise job.error
         return not self._stopped()
 
-    def _stamp(self, frame):
+    def _stamp(self, frame, settings):
         """Say in the image's metadata how it was made."""
         result = self.get_result()
+        facts = dict(frame.stats)
+        if settings.method == "forward":
+            facts["samples"] = f"{settings.forward.samples_per_pixel:g}"
         for key in ("method", "samples", "triangles", "unique_triangles"):
-            if key in frame.stats:
-                result.stamp_data_add_field(f"PointMR {key.replace('_', ' ')}", str(frame.stats[key]))
+            if key in facts:
+                result.stamp_data_add_field(f"PointMR {key.replace('_', ' ')}", str(facts[key]))
 
     def _fail(self, error):
         """Show an error where the user looks, in the render window and in the report; bugs leave a traceback."""

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from . import kernel_cache
@@ -49,6 +49,9 @@ class Options:
     compositing: bool = False
     png: bool = False
     half: bool = False
+    forward: dict[str, str | bool] = field(
+        default_factory=dict
+    )  # property of scene.pointmr -> value, as typed
 
 
 @dataclass
@@ -173,14 +176,15 @@ def apply_options(scene, options: Options) -> None:
     scene.render.use_compositing = options.compositing
     own = scene.pointmr
     if options.method is not None:
-        methods = [item.identifier for item in own.bl_rna.properties["method"].enum_items]
-        if options.method.upper() not in methods:
-            raise CommandError(
-                f"no method '{options.method}'; there are: {', '.join(m.lower() for m in methods)}"
-            )
-        own.method = options.method.upper()
+        set_property(own, "method", options.method)
     if options.samples is not None:
         own.samples = options.samples
+        if own.method == "FORWARD":
+            set_property(own, "forward_samples_per_pixel", str(options.samples), "samples")
+    for name, value in options.forward.items():
+        if own.method != "FORWARD":
+            raise CommandError(f"--{name.replace('_', '-')} is of method forward, not {own.method.lower()}")
+        set_property(own, name, value)
     if options.seed is not None:
         own.seed, own.use_animated_seed = options.seed, False
     if options.size is not None:
@@ -199,6 +203,32 @@ def apply_options(scene, options: Options) -> None:
     if scene.camera is None:
         hint = f"; choose one with --camera: {', '.join(cameras)}" if cameras else ""
         raise CommandError(f"scene '{scene.name}' has no camera{hint}")
+
+
+def set_property(group, name: str, value: str | bool, option: str = "") -> None:
+    """Set a property as typed on the command line. Raises CommandError for what Blender would refuse or clamp.
+
+    option: the option's name, if it is not the property's.
+    """
+    what = option or name.replace("_", "-")
+    rna = group.bl_rna.properties[name]
+    if rna.type == "ENUM":
+        choices = [item.identifier for item in rna.enum_items]
+        if str(value).upper() not in choices:
+            raise CommandError(f"no {what} '{value}'; there are: {', '.join(choices).lower()}")
+        value = str(value).upper()
+    elif rna.type == "FLOAT":
+        try:
+            number = float(value)
+        except ValueError as error:
+            raise CommandError(f"--{what}: '{value}' is not a number") from error
+        low, high = (
+            float(f"{limit:.6g}") for limit in (rna.hard_min, rna.hard_max)
+        )  # they are single floats
+        if not low <= number <= high:
+            raise CommandError(f"--{what}: {value} is outside {low:g} to {high:g}")
+        value = number
+    setattr(group, name, value)
 
 
 class FrameObserver(Observer):
@@ -317,7 +347,7 @@ def render_frame(
     except SceneError as error:
         raise CommandError(str(error), UNWRITABLE) from error
     observer.lap("write")
-    stats = dict(first.stats, cold=cold, settings=vars(observer.settings))
+    stats = dict(first.stats, cold=cold, settings=asdict(observer.settings))
     return Rendered(frame, [str(p) for p in files], dict(observer.seconds), stats, observer.warnings)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -87,7 +88,8 @@ def prepare() -> None:
     os.environ["NUMBA_CACHE_DIR"] = str(chosen)
     if "numba" in sys.modules:  # another add-on came first: numba has read its environment already
         sys.modules["numba"].config.CACHE_DIR = str(chosen)
-    versions = sorted((p for p in chosen.parent.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime)
+    folders = (p for p in chosen.parent.iterdir() if p.is_dir() and re.fullmatch("[0-9a-f]{16}", p.name))
+    versions = sorted(folders, key=lambda p: p.stat().st_mtime)
     for old in versions[:-KEPT_VERSIONS]:
         if old != chosen:
             shutil.rmtree(old, ignore_errors=True)

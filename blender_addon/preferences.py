@@ -1,9 +1,9 @@
-"""The add-on's preferences: how the viewport renders, and where compiled kernels are kept."""
+"""The add-on's preferences: how the viewport renders, and where compiled kernels and sample sets are kept."""
 
 from __future__ import annotations
 
 import bpy
-from bpy.props import IntProperty
+from bpy.props import IntProperty, StringProperty
 
 from . import kernel_cache
 
@@ -31,11 +31,18 @@ class PointMRPreferences(bpy.types.AddonPreferences):
         max=1024,
         default=0,
     )
+    sample_folder: StringProperty(
+        name="Sample Sets",
+        description="Folder for the sample sets of scenes that keep them; empty: a folder in the user's cache",
+        subtype="DIR_PATH",
+        default="",
+    )
 
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "viewport_threads")
+        layout.prop(self, "sample_folder", placeholder=default_sample_folder())
         row = layout.row()
         row.label(text=f"Compiled kernels: {kernel_cache.folder()}")
         row.operator(POINTMR_OT_clear_kernel_cache.bl_idname, text="Clear")
@@ -43,8 +50,24 @@ class PointMRPreferences(bpy.types.AddonPreferences):
 
 def viewport_threads() -> int:
     """The preference, or its default where the add-on runs without preferences (the bpy module)."""
+    found = _found()
+    return found.viewport_threads if found else 0
+
+
+def sample_folder() -> str:
+    """The folder for sample sets that outlast a run: the preference, or else one in the user's cache."""
+    found = _found()
+    chosen = found.sample_folder if found else ""
+    return bpy.path.abspath(chosen) if chosen else default_sample_folder()
+
+
+def default_sample_folder() -> str:
+    return str(kernel_cache.user_cache_folder() / "pointmr" / "samples")
+
+
+def _found() -> PointMRPreferences | None:
     addon = bpy.context.preferences.addons.get(__package__)
-    return addon.preferences.viewport_threads if addon and addon.preferences else 0
+    return addon.preferences if addon else None
 
 
 classes = (POINTMR_OT_clear_kernel_cache, PointMRPreferences)

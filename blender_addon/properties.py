@@ -2,8 +2,8 @@
 own).
 
 Names follow Cycles where the meaning is the same, so that scripts and habits carry over. Enum items carry
-fixed numbers: files store the number, so an item's number never changes, and those of methods to come
-(RAYTRACE 0, FORWARD 1) are kept free.
+fixed numbers: files store the number, so an item's number never changes, and that of a method to come
+(RAYTRACE 0) is kept free.
 """
 
 from __future__ import annotations
@@ -11,9 +11,18 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
+from .forward_properties import ForwardProperties
+
 METHODS = (
     ("CONVENTIONAL", "Conventional", "One ray through the centre of each pixel: fast, sharp, aliased", 2),
     ("DISTRIBUTED", "Distributed", "Many random rays per pixel over filter, lens, lights and reflections", 3),
+    (
+        "FORWARD",
+        "Forward Mapping",
+        "Surface samples, as many as the image can show, are projected onto it: "
+        "time depends on the image rather than on the scene; no reflections of other objects",
+        1,
+    ),
 )
 
 PIXEL_FILTERS = (
@@ -23,7 +32,7 @@ PIXEL_FILTERS = (
 )
 
 
-class PointMRSceneSettings(bpy.types.PropertyGroup):
+class PointMRSceneSettings(ForwardProperties, bpy.types.PropertyGroup):
     """Render settings of a scene, at `scene.pointmr`."""
 
     method: EnumProperty(

@@ -1,7 +1,7 @@
 """The rendered viewport: the scene is read when it changes, a thread refines the image, drawing only shows
 the newest.
 
-Coarse pixels first (a quarter, half), then full ones, then more samples, averaged. A change of view or scene
+Coarse pixels or few samples first, then more, then their average (refinement.py). A change of view or scene
 ends the running pass and starts again. Only `Viewport` talks to Blender, always on the main thread.
 """
 
@@ -18,11 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from . import kernel_cache
+from .refinement import ForwardPace, ray_steps, with_samples
 
 POLL_SECONDS = 0.05
-COARSEST = 4  # pixels of the first pass are this wide
-SMOOTH_SECONDS = 0.15  # a first image that comes within this time needs no coarser one before it
-LONGEST_BATCH = 16  # samples per pass, so that refinement stays visible
 SENSOR = 36.0  # mm; any value would do, since focal lengths are expressed against it
 
 
@@ -39,11 +37,11 @@ class View(NamedTuple):
 
 @dataclass
 class Picture:
-    """Pixels (h, w, 4) float32, bottom row first, each `scale` screen pixels wide; samples so far."""
+    """Pixels (h, w, 4) float32, bottom row first, each `scale` screen pixels wide; samples averaged so far."""
 
     pixels: np.ndarray
     scale: int
-    samples: int
+    samples: float
     version: int
 
 
@@ -125,6 +123,7 @@ class Refiner:
         self._generation = 0
         self._versions = 0
         self._closed = False
+        self._pace = ForwardPace()
         self._cache = None  # the engine's, of the newest scene: a change of view alone builds nothing again
         self._thread = threading.Thread(target=self._run, name="PointMR viewport", daemon=True)
         self._thread.start()
@@ -178,29 +177,34 @@ class Refiner:
             return generation != self._generation
 
         lens, total = scene.camera, settings.samples
-        average, done, scale = None, 0, max(COARSEST, pixel_size)
-        while done < total:
-            count = 1 if scale > pixel_size else min(max(done, 1), LONGEST_BATCH, total - done)
-            camera = camera_from_view(view, scale, lens)
-            width, height = -(-view.width // scale), -(-view.height // scale)
-            batch = replace(
-                settings, width=width, height=height, samples=count, seed=settings.seed + 1000003 * done
-            )
+        if settings.method == "forward":
+            steps = self._pace.steps(scene, total, pixel_size)
+        else:
+            steps = ray_steps(total, pixel_size)
+        average, done, number = None, 0.0, 0
+        step = next(steps, None)
+        while step is not None:
+            size = {"width": -(-view.width // step.scale), "height": -(-view.height // step.scale)}
+            batch = replace(with_samples(settings, step.samples, number), **size)
+            camera = camera_from_view(view, step.scale, lens)
             start = time.perf_counter()
             frame = render(replace(scene, camera=camera), batch, progress=progress, cache=self._cache)
             if generation != self._generation or frame is None:
                 return
             seconds = time.perf_counter() - start
             pixels = np.ascontiguousarray(frame.passes["combined"], np.float32)
-            if scale > pixel_size:
-                self._show(generation, pixels, scale, count)
-                # each finer step costs four times as much: go straight to full pixels where that is quick
-                scale = pixel_size if 4 * seconds < SMOOTH_SECONDS else max(scale // 2, pixel_size)
-                continue
-            average = pixels if average is None else average + (pixels - average) * (count / (done + count))
-            done += count
-            self._show(generation, average, scale, done)
-            self.text = f"Sample {done}/{total}" if done < total else ""
+            if step.averaged:
+                weight = step.samples / (done + step.samples)
+                average = pixels if average is None else average + (pixels - average) * np.float32(weight)
+                done += step.samples
+                number += 1
+                pixels = average
+                self.text = f"Sample {done:.0f}/{total}" if round(done) < total else ""
+            self._show(generation, pixels, step.scale, done)
+            try:
+                step = steps.send(seconds)
+            except StopIteration:
+                step = None
 
     def _show(self, generation, pixels, scale, samples) -> None:
         with self._wake:

@@ -43,7 +43,14 @@ def _options(a: argparse.Namespace) -> Options:
         "png",
         "half",
     )
-    return Options(a.file, output, **{name: getattr(a, name) for name in names})
+    return Options(a.file, output, **{name: getattr(a, name) for name in names}, forward=_forward(a))
+
+
+def _forward(a: argparse.Namespace) -> dict[str, str | bool]:
+    """The options of method forward that were given."""
+    return {
+        name: value for name, value in vars(a).items() if name.startswith("forward_") and value is not None
+    }
 
 
 def command_render(a: argparse.Namespace) -> int:
@@ -131,6 +138,11 @@ def render_in_processes(a: argparse.Namespace, frames, several: bool, report: Re
     threads = a.threads if a.threads is not None else max((os.cpu_count() or 1) // a.jobs, 1)
     arguments += ["--threads", str(threads)]
     arguments += [f"--{name}" for name in ("png", "half", "compositing", "scripts") if getattr(a, name)]
+    for name, value in _forward(a).items():
+        option = name.replace("_", "-")
+        arguments += (
+            [f"--{'' if value else 'no-'}{option}"] if isinstance(value, bool) else [f"--{option}", value]
+        )
     arguments += ["--frames", f"{frames[0]}-{frames[-1]}"] if several else []
 
     def on_event(event: dict) -> None:

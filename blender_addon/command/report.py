@@ -75,20 +75,29 @@ class Report:
 
 
 def summary(rendered: dict, memory: int) -> str:
-    """A frame's summary: counts, seconds by phase, memory, files."""
+    """A frame's summary: what was rendered, seconds by phase, what the method counted, memory, files."""
     stats, seconds = rendered["stats"], dict(rendered["seconds"])
     settings = stats["settings"]
     lines = [f"frame {rendered['frame']}: {settings['width']}x{settings['height']}, {settings['method']}"]
-    if settings["method"] != "conventional":
+    if settings["method"] == "forward":
+        forward = settings["forward"]
+        lines[0] += f", {forward['sampling']}, {forward['samples_per_pixel']:g} samples per pixel"
+    elif settings["method"] != "conventional":
         lines[0] += f", {count(settings['samples'], 'sample')} per pixel"
-    unique, instanced = stats["unique_triangles"], stats["triangles"]
-    lines.append(f"  triangles: {unique:,} unique, {instanced:,} instanced, nested {stats['nesting']} deep")
+    if {"unique_triangles", "triangles", "nesting"} <= set(stats):
+        unique, instanced = stats["unique_triangles"], stats["triangles"]
+        lines.append(
+            f"  triangles: {unique:,} unique, {instanced:,} instanced, nested {stats['nesting']} deep"
+        )
     whole = sum(seconds.values())
     write = seconds.pop("write")
     seconds.pop("render")  # for which the engine's own phases stand
-    seconds |= {**stats["times"], "write": write}
+    seconds |= {**stats.get("times", {}), "write": write}
     phases = ", ".join(f"{phase} {s:.2f} s" for phase, s in seconds.items() if s >= 0.005)
     lines.append(f"  time: {phases}; together {whole:.2f} s")
+    counted = [f"{n:,} {name.replace('_', ' ')}" for name, n in stats.get("counters", {}).items() if n]
+    if counted:
+        lines.append(f"  counted: {', '.join(counted)}")
     if rendered["stats"].get("cold"):
         lines.append("  (kernels were compiled, which only a first render does)")
     lines.append(f"  peak memory: {memory / 2**20:,.0f} MB")

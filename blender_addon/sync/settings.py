@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from pointmr_engine.scene.settings import FILTERS, METHODS, PASSES, RenderSettings
+from pointmr_engine.scene.settings import FILTERS, METHODS, PASSES, ForwardSettings, RenderSettings
+
+from .. import preferences
 
 # engine's name -> property of scene.pointmr
 PLAIN = {
@@ -42,11 +44,26 @@ def render_settings(scene, view_layer=None, *, report=None) -> RenderSettings:
             own.pixel_filter_type.lower(), FILTERS, settings.pixel_filter, "pixel filter", report
         )
         settings.seed = animated_seed(own, scene)
+        settings.forward = forward_settings(own)
     layer = view_layer if view_layer is not None else scene.view_layers[0]
     if getattr(layer, "samples", 0) > 0:
         settings.samples = layer.samples
     settings.passes = layer_passes(layer)
     return settings
+
+
+# fields of the engine's ForwardSettings; the properties of scene.pointmr are called forward_...
+FORWARD_NUMBERS = ("samples_per_pixel", "epsilon", "failure")
+FORWARD_CHOICES = ("sampling", "draws", "strategy", "reconstruction", "shading")
+FORWARD_SWITCHES = ("shadows", "backface_culling", "occlusion_culling")
+
+
+def forward_settings(own) -> ForwardSettings:
+    """Forward mapping's part of the settings, of scene.pointmr."""
+    values = {name: getattr(own, f"forward_{name}") for name in FORWARD_NUMBERS + FORWARD_SWITCHES}
+    values |= {name: getattr(own, f"forward_{name}").lower() for name in FORWARD_CHOICES}
+    folder = preferences.sample_folder() if own.forward_keep_sets else None
+    return ForwardSettings(**values, subpixels=int(own.forward_subpixels), cache_folder=folder)
 
 
 def known(value: str, choices: tuple[str, ...], default: str, what: str, report) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.types import Panel
 
+from . import forward
 from .common import PointMRPanel, split_layout
 
 
@@ -31,7 +32,10 @@ class POINTMR_RENDER_PT_sampling_render(PointMRPanel, Panel):
         settings = context.scene.pointmr
         layout = split_layout(self)
         layout.active = settings.method != "CONVENTIONAL"
-        layout.prop(settings, "samples", text="Samples")
+        if settings.method == "FORWARD":
+            layout.prop(settings, "forward_samples_per_pixel", text="Samples per Pixel")
+        else:
+            layout.prop(settings, "samples", text="Samples")
 
 
 class POINTMR_RENDER_PT_sampling_advanced(PointMRPanel, Panel):
@@ -49,6 +53,10 @@ class POINTMR_RENDER_PT_sampling_advanced(PointMRPanel, Panel):
 class POINTMR_RENDER_PT_light_paths(PointMRPanel, Panel):
     bl_label = "Light Paths"
     bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.scene.pointmr.method != "FORWARD"  # which follows no rays
 
     def draw(self, context):
         pass
@@ -190,6 +198,7 @@ classes = (
     POINTMR_RENDER_PT_sampling_viewport,
     POINTMR_RENDER_PT_sampling_render,
     POINTMR_RENDER_PT_sampling_advanced,
+    *forward.classes,
     POINTMR_RENDER_PT_light_paths,
     POINTMR_RENDER_PT_light_paths_max_bounces,
     POINTMR_RENDER_PT_light_paths_clamping,

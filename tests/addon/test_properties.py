@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
 
 import blender_addon
+from blender_addon import kernel_cache
+from pointmr_engine import ForwardSettings
 
 ADDON = Path(blender_addon.__file__).parent
 
@@ -38,8 +43,19 @@ def numbers(name: str) -> dict[str, int]:
 
 def test_enum_items_have_fixed_numbers():
     """Files store the number: these never change."""
-    assert numbers("method") == {"CONVENTIONAL": 2, "DISTRIBUTED": 3}
+    assert numbers("method") == {"FORWARD": 1, "CONVENTIONAL": 2, "DISTRIBUTED": 3}
     assert numbers("pixel_filter_type") == {"BOX": 0, "GAUSSIAN": 1, "BLACKMAN_HARRIS": 2}
+    assert numbers("forward_sampling") == {"STATIC": 0, "DYNAMIC": 1}
+    assert numbers("forward_draws") == {"RANDOM": 0, "STRATIFIED": 1, "POISSON": 2}
+    assert numbers("forward_reconstruction") == {"PIXEL": 0, "GAUSSIAN": 1, "SUBPIXEL": 2, "ANALYTIC": 3}
+    assert numbers("forward_subpixels") == {"4": 4, "8": 8}
+    assert numbers("forward_shading") == {"SIMPLE": 0, "FULL": 1}
+    assert numbers("forward_strategy") == {
+        "RANDOM": 0,
+        "JITTERED_GRID": 1,
+        "QUANTISED_GRID": 2,
+        "NEIGHBOURHOOD": 3,
+    }
 
 
 def test_settings_survive_a_file(tmp_path):
@@ -58,6 +74,7 @@ def test_settings_survive_a_file(tmp_path):
     ("name", "value", "target", "expected"),
     [
         ("method", "CONVENTIONAL", "method", "conventional"),
+        ("method", "FORWARD", "method", "forward"),
         ("samples", 37, "samples", 37),
         ("seed", 5, "seed", 5),
         ("pixel_filter_type", "GAUSSIAN", "pixel_filter", "gaussian"),
@@ -80,6 +97,134 @@ def test_every_property_reaches_the_engine(name, value, target, expected):
     assert getattr(sync.settings_from_blender(scene), target) != expected
     setattr(scene.pointmr, name, value)
     assert getattr(sync.settings_from_blender(scene), target) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("sampling", "DYNAMIC", "dynamic"),
+        ("samples_per_pixel", 0.25, 0.25),
+        ("epsilon", 0.75, 0.75),
+        ("failure", 0.125, 0.125),
+        ("draws", "POISSON", "poisson"),
+        ("strategy", "QUANTISED_GRID", "quantised_grid"),
+        ("reconstruction", "ANALYTIC", "analytic"),
+        ("subpixels", "8", 8),
+        ("shading", "SIMPLE", "simple"),
+        ("shadows", False, False),
+        ("backface_culling", True, True),
+        ("occlusion_culling", False, False),
+    ],
+)
+def test_every_property_of_forward_mapping_reaches_the_engine(name, value, expected):
+    from blender_addon import sync
+
+    scene = bpy.context.scene
+    setattr(scene.pointmr, f"forward_{name}", value)
+    forward = sync.settings_from_blender(scene).forward
+    others = dataclasses.replace(forward, **{name: getattr(ForwardSettings(), name)})
+    assert getattr(forward, name) == expected
+    assert dataclasses.astuple(others) == pytest.approx(dataclasses.astuple(ForwardSettings()))
+
+
+def test_the_ends_of_every_range_are_accepted_by_the_engine():
+    from blender_addon import sync
+
+    scene = bpy.context.scene
+    own = scene.pointmr
+    own.method = "FORWARD"
+    for name, rna in own.bl_rna.properties.items():
+        if name.startswith("forward_"):
+            if rna.type == "ENUM":
+                values = [item.identifier for item in rna.enum_items]
+            else:
+                values = [False, True] if rna.type == "BOOLEAN" else [rna.hard_min, rna.hard_max]
+            for value in [*values, rna.default]:
+                setattr(own, name, value)
+                sync.settings_from_blender(scene).validate()
+
+
+def test_sample_sets_are_kept_where_preferences_say(monkeypatch, tmp_path):
+    from blender_addon import preferences, sync
+
+    scene = bpy.context.scene
+    assert sync.settings_from_blender(scene).forward.cache_folder is None
+    scene.pointmr.forward_keep_sets = True
+    monkeypatch.setattr(kernel_cache, "user_cache_folder", lambda: tmp_path)
+    assert sync.settings_from_blender(scene).forward.cache_folder == str(tmp_path / "pointmr" / "samples")
+    chosen = SimpleNamespace(sample_folder=str(tmp_path / "chosen"))
+    monkeypatch.setattr(preferences, "_found", lambda: chosen)
+    assert sync.settings_from_blender(scene).forward.cache_folder == str(tmp_path / "chosen")
+
+
+def test_only_kernels_of_old_versions_are_cleared_away(monkeypatch, tmp_path):
+    """Sample sets lie beside them."""
+    names = [f"{i:016x}" for i in range(kernel_cache.KEPT_VERSIONS + 2)]
+    for i, name in enumerate([*names, "samples"]):
+        (tmp_path / name).mkdir()
+        os.utime(tmp_path / name, (i, i) if name != "samples" else (0, 0))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path / names[-1])
+    monkeypatch.setattr(kernel_cache, "sys", SimpleNamespace(modules={}))
+    try:
+        kernel_cache.prepare()
+    finally:
+        os.environ.pop("NUMBA_CACHE_DIR", None)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [*names[2:], "samples"]
+
+
+def test_panels_follow_the_method():
+    """Forward mapping's panels show for it alone; those of rays do not."""
+    from blender_addon.ui import forward, render
+
+    context, own = bpy.context, bpy.context.scene.pointmr
+    for method in ("CONVENTIONAL", "DISTRIBUTED", "FORWARD"):
+        own.method = method
+        assert all(panel.poll(context) == (method == "FORWARD") for panel in forward.classes)
+        assert render.POINTMR_RENDER_PT_light_paths.poll(context) == (method != "FORWARD")
+
+
+def drawn(panel) -> list[str]:
+    """The properties that a panel shows."""
+    shown = []
+
+    class Layout:
+        def prop(self, owner, name, **options):
+            assert name in owner.bl_rna.properties
+            shown.append(name)
+
+        def row(self, **options):
+            return self
+
+        column = row
+
+    panel.draw(SimpleNamespace(layout=Layout()), bpy.context)
+    return shown
+
+
+def test_panels_show_what_matters_for_the_choice():
+    from blender_addon.ui import forward, render
+
+    def all_shown():
+        return {name for panel in forward.classes for name in drawn(panel)} | set(
+            drawn(render.POINTMR_RENDER_PT_sampling_render)
+        )
+
+    own = bpy.context.scene.pointmr
+    own.method = "FORWARD"
+    static = all_shown()
+    assert {"forward_strategy", "forward_keep_sets", "forward_samples_per_pixel"} <= static
+    assert not static & {"forward_draws", "forward_epsilon", "forward_failure", "samples"}
+    own.forward_strategy = "RANDOM"
+    assert "forward_failure" in all_shown()
+    own.forward_sampling = "DYNAMIC"
+    dynamic = all_shown()
+    assert {"forward_draws", "forward_epsilon", "forward_failure"} <= dynamic
+    assert not dynamic & {"forward_strategy", "forward_keep_sets"}
+    every = {name for name in own.bl_rna.properties.keys() if name.startswith("forward_")}
+    assert static | dynamic == every
+    own.forward_reconstruction = "PIXEL"
+    assert "forward_subpixels" not in all_shown()
 
 
 def test_animated_seed_changes_with_the_frame():

@@ -1,0 +1,87 @@
+"""Which pictures a viewport asks for, one after the other: a first one at once, then better ones, then their mean.
+
+A schedule is a generator: it yields Steps and is sent the seconds that the last one took.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from dataclasses import replace
+from typing import NamedTuple
+
+COARSEST = 4  # pixels of the first picture are at most this wide
+SMOOTH_SECONDS = 0.15  # a first picture that comes within this time needs no coarser one before it
+LONGEST_BATCH = 16  # rays per pixel and pass, so that refinement stays visible
+FORWARD_FIRST, FORWARD_SECOND, FORWARD_FINEST = (
+    0.25,
+    1.0,
+    4.0,
+)  # samples per pixel of forward mapping's passes
+
+
+class Step(NamedTuple):
+    """One picture: pixels `scale` screen pixels wide; samples per pixel; whether it is averaged with others such."""
+
+    scale: int
+    samples: float
+    averaged: bool
+
+
+Schedule = Generator[Step, float, None]
+
+
+def ray_steps(total: int, pixel_size: int) -> Schedule:
+    """Coarse pixels, finer ones, then batches of `total` samples per pixel."""
+    scale = max(COARSEST, pixel_size)
+    while scale > pixel_size:
+        seconds = yield Step(scale, 1, False)
+        # each finer step costs four times as much: go straight to full pixels where that is quick
+        scale = pixel_size if 4 * seconds < SMOOTH_SECONDS else max(scale // 2, pixel_size)
+    done = 0
+    while done < total:
+        count = min(max(done, 1), LONGEST_BATCH, total - done)
+        yield Step(pixel_size, count, True)
+        done += count
+
+
+class ForwardPace:
+    """Remembers, from view to view of one scene, how long forward mapping takes for a first picture."""
+
+    def __init__(self):
+        self._seconds = math.inf  # for one of full pixels
+        self._scene = None
+
+    def steps(self, scene, total: int, pixel_size: int) -> Schedule:
+        """A first picture of few samples, of full pixels if these were quick before; a better one; then passes of equal
+        density, `total` samples per pixel together.
+        """
+        known, coarse = scene is self._scene, max(COARSEST, pixel_size)
+        scale = pixel_size
+        while scale < coarse and not self._seconds * (pixel_size / scale) ** 2 < SMOOTH_SECONDS:
+            scale = min(2 * scale, coarse)
+        seconds = yield Step(scale, FORWARD_FIRST, False)
+        if known:
+            self._learn(seconds, scale, pixel_size)
+        else:  # which also built its hierarchies
+            self._scene, self._seconds = scene, math.inf
+        if total > FORWARD_SECOND:
+            seconds = yield Step(pixel_size, FORWARD_SECOND, False)
+            self._seconds = min(self._seconds, seconds)
+        passes = math.ceil(total / FORWARD_FINEST)
+        for _ in range(passes):
+            yield Step(pixel_size, total / passes, True)
+
+    def _learn(self, seconds: float, scale: int, pixel_size: int) -> None:
+        if scale == pixel_size:
+            self._seconds = seconds
+        else:  # part of the time does not depend on the pixels, so this is at most
+            self._seconds = min(self._seconds, seconds * (scale / pixel_size) ** 2)
+
+
+def with_samples(settings, samples: float, number: int):
+    """The engine's settings for the pass of this number, with so many samples per pixel."""
+    settings = replace(settings, seed=settings.seed + 1000003 * number)
+    if settings.method == "forward":
+        return replace(settings, forward=replace(settings.forward, samples_per_pixel=samples))
+    return replace(settings, samples=int(samples))
