@@ -1,19 +1,22 @@
 """The `pointmr` command: what it writes, what it says, and what it leaves behind when something goes wrong."""
 
+import importlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from blender_addon import batch
-from blender_addon.cli import main
+from blender_addon.cli import FORWARD, build_parser, main
 from blender_addon.headless import output_path
+from pointmr_engine import ForwardSettings, Frame
 from pointmr_engine.image import exr
 
 bpy = pytest.importorskip("bpy")
@@ -148,6 +151,72 @@ def test_render_writes_what_it_says(blend, tmp_path, capfd):
     assert not (blend.parent / "script ran").exists()
 
 
+def test_options_of_forward_mapping_reach_the_engine(blend, tmp_path, monkeypatch):
+    """Every property has its option, and what is typed is what the engine is asked for."""
+    asked = []
+
+    def render(scene, settings, progress=None, **_):
+        asked.append(settings)
+        pixels = np.ones((settings.height, settings.width, 4), np.float32)
+        return Frame(settings.width, settings.height, {"combined": pixels}, {"counters": {"points": 12345}})
+
+    monkeypatch.setattr(importlib.import_module("pointmr_engine.render"), "render", render)
+    typed = [
+        "--forward-sampling",
+        "dynamic",
+        "--forward-samples-per-pixel",
+        "0.05",
+        "--forward-draws",
+        "poisson",
+    ]
+    typed += ["--forward-epsilon", "0.25", "--forward-failure", "0.0001", "--forward-strategy", "random"]
+    typed += [
+        "--forward-reconstruction",
+        "gaussian",
+        "--forward-subpixels",
+        "8",
+        "--forward-shading",
+        "simple",
+    ]
+    typed += ["--no-forward-shadows", "--forward-backface-culling", "--no-forward-occlusion-culling"]
+    typed += ["--forward-keep-sets"]
+    start = ["render", str(blend), "-o", str(tmp_path / "a.exr"), "--size", "24x16", "--method", "forward"]
+    stats = tmp_path / "stats.json"
+    assert main([*start, *typed, "--stats", str(stats)]) == 0
+    forward = asked[0].forward
+    assert asked[0].method == "forward" and forward.cache_folder
+    expected = ForwardSettings(
+        "dynamic", 0.05, 0.25, 1e-4, "poisson", "random", "gaussian", 8, "simple", False, True, False
+    )
+    assert astuple(forward)[:-1] == pytest.approx(astuple(expected)[:-1])
+    [frame] = json.loads(stats.read_text())["frames"]
+    assert frame["stats"]["settings"]["forward"]["draws"] == "poisson"
+    assert frame["stats"]["counters"] == {"points": 12345}
+    assert set(FORWARD) == {n for n in bpy.context.scene.pointmr.bl_rna.properties.keys() if "forward_" in n}
+    assert main([*start, "--samples", "4"]) == 0
+    assert asked[1].forward == replace(
+        ForwardSettings(failure=asked[1].forward.failure), samples_per_pixel=4.0
+    )
+
+
+def test_a_batchs_processes_get_all_options(blend, tmp_path, monkeypatch):
+    commands = []
+    monkeypatch.setattr(
+        batch, "render_frames", lambda command, frames, *_: commands.append(command) or (frames, [])
+    )
+    typed = ["--forward-sampling", "dynamic", "--no-forward-shadows", "--forward-backface-culling"]
+    start = ["render", str(blend), "-o", str(tmp_path / "a.exr"), "--method", "forward", "-f", "1-2"]
+    assert main([*start, *typed, "--jobs", "2"]) == 0
+    [command] = commands
+    worker = build_parser().parse_args(command[command.index("render") :])
+    given = {name: value for name, value in vars(worker).items() if "forward_" in name and value is not None}
+    assert given == {
+        "forward_sampling": "dynamic",
+        "forward_shadows": False,
+        "forward_backface_culling": True,
+    }
+
+
 def test_options_change_the_image(blend, tmp_path):
     """Camera and frame are those asked for: the depth of what is seen moves to the side."""
 
@@ -214,6 +283,24 @@ def test_processes_render_the_same_images(blend, tmp_path):
         (["render", __file__], 2, "not a .blend file"),
         (["info", "missing.blend"], 2, "no such file: missing.blend"),
         (["render", "BLEND", "--camera", "Nobody"], 2, "no camera 'Nobody'; there are: Left, Right"),
+        (
+            ["render", "BLEND", "--method", "forward", "--forward-strategy", "grid"],
+            2,
+            "no forward-strategy 'grid'; there are: random, jittered_grid, quantised_grid, neighbourhood",
+        ),
+        (
+            ["render", "BLEND", "--method", "forward", "--forward-samples-per-pixel", "65"],
+            2,
+            "--forward-samples-per-pixel: 65 is outside 0.05 to 64",
+        ),
+        (["render", "BLEND", "--method", "forward", "--forward-epsilon", "x"], 2, "'x' is not a number"),
+        (["render", "BLEND", "--method", "forward", "--forward-failure", "nan"], 2, "nan is outside"),
+        (["render", "BLEND", "--method", "forward", "--samples", "100"], 2, "--samples: 100 is outside 0.05"),
+        (
+            ["render", "BLEND", "--method", "conventional", "--no-forward-shadows"],
+            2,
+            "--forward-shadows is of method forward, not conventional",
+        ),
         (
             ["render", "BLEND", "--method", "magic"],
             2,

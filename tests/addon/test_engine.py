@@ -14,6 +14,7 @@ import pytest
 import blender_addon
 from blender_addon import observer
 from blender_addon.job import RenderJob
+from blender_addon.refinement import ForwardPace
 from blender_addon.report import Reporter
 from blender_addon.viewport import Refiner, View, camera_from_view
 from pointmr_engine.scene.camera import Camera
@@ -290,6 +291,46 @@ def test_viewport_goes_from_coarse_to_fine_and_averages(fake_render):
     expected = sum(c.samples * (first + i) for i, c in enumerate(full)) / 5
     assert refiner.picture.pixels[0, 0, 0] == pytest.approx(expected)
     refiner.close()
+
+
+def test_viewport_refines_forward_mapping(fake_render):
+    """Few samples first, one a pixel next, then passes of equal density, whose mean alone stays."""
+    refiner = Refiner()
+    scene = Scene(Group("root"), Camera())
+    settings = RenderSettings(method="forward", samples=10, passes=("combined",))
+    refiner.start(scene, settings, VIEW)
+    wait_for(lambda: refiner.picture is not None and refiner.picture.samples > 9.9)
+    calls = [(c.width, c.height, c.forward.samples_per_pixel) for c in fake_render.calls]
+    assert calls[:2] == [(16, 10, 0.25), (61, 40, 1.0)]
+    assert [c[:2] for c in calls[2:]] == [(61, 40)] * 3
+    assert sum(c[2] for c in calls[2:]) == pytest.approx(10) and max(c[2] for c in calls) <= 4
+    assert len({c.seed for c in fake_render.calls[2:]}) == 3
+    assert refiner.picture.pixels[0, 0, 0] == pytest.approx((3 + 4 + 5) / 3)
+    assert settings.forward.samples_per_pixel == 1.0
+    # The scene is known, its pictures were quick: another view's first one has full pixels.
+    refiner.start(scene, settings, VIEW._replace(width=100))
+    wait_for(lambda: len(fake_render.calls) > 5)
+    assert (fake_render.calls[5].width, fake_render.calls[5].forward.samples_per_pixel) == (100, 0.25)
+    refiner.close()
+
+
+def test_forward_mappings_first_picture_is_as_fine_as_it_was_quick():
+    def first(pace, scene, *seconds, pixel_size=1):
+        steps = pace.steps(scene, 1, pixel_size)
+        step = next(steps)
+        for s in seconds:
+            steps.send(s)
+        return step.scale
+
+    pace, scene = ForwardPace(), object()
+    assert first(pace, scene, 60.0) == 4  # nothing known yet; this one also built the hierarchies
+    assert first(pace, scene, 0.03) == 4  # 0.48 s for full pixels, at most
+    assert first(pace, scene, 0.01) == 2
+    assert first(pace, scene, 0.02) == 1
+    assert first(pace, scene, 1.0) == 1  # a view that takes long
+    assert first(pace, scene) == 4
+    assert first(pace, object(), 60.0) == 4
+    assert first(pace, scene, pixel_size=8) == 8
 
 
 def test_viewport_starts_again_on_a_change_and_ends_when_closed(fake_render):
