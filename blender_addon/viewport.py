@@ -21,6 +21,14 @@ from . import kernel_cache
 from .refinement import ForwardPace, ray_steps, with_samples
 
 POLL_SECONDS = 0.05
+# the engine's phases whose results its cache keeps for all views of a scene
+PREPARATIONS = (
+    "checking the scene",
+    "loading kernels",
+    "compiling materials",
+    "building hierarchies",
+    "gathering lights",
+)
 SENSOR = 36.0  # mm; any value would do, since focal lengths are expressed against it
 
 
@@ -174,7 +182,7 @@ class Refiner:
         def progress(fraction, text, tile=None) -> bool:
             if average is None and text not in ("rendering", "done"):
                 self.text = text.capitalize()
-            return generation != self._generation
+            return self._outdated(generation, scene, text)
 
         lens, total = scene.camera, settings.samples
         if settings.method == "forward":
@@ -205,6 +213,14 @@ class Refiner:
                 step = steps.send(seconds)
             except StopIteration:
                 step = None
+
+    def _outdated(self, generation, scene, text) -> bool:
+        """Whether to end a pass. What prepares the scene goes on when only the view changed, for it is kept."""
+        with self._wake:
+            if generation == self._generation:
+                return False
+            same_scene = not self._closed and self._request is not None and self._request[0] is scene
+            return text not in PREPARATIONS or not same_scene
 
     def _show(self, generation, pixels, scale, samples) -> None:
         with self._wake:

@@ -234,14 +234,14 @@ def fake_render(monkeypatch):
         calls.append(settings)
         end = time.monotonic() + render.seconds
         while time.monotonic() < end:
-            if progress(0.5, "sampling"):
+            if progress(0.5, render.phase):
                 return None
             time.sleep(0.005)
         value = float(len(calls))
         pixels = np.full((settings.height, settings.width, 4), value, np.float32)
         return Frame(settings.width, settings.height, {"combined": pixels})
 
-    render.seconds, render.calls = 0.02, calls
+    render.seconds, render.phase, render.calls = 0.02, "sampling", calls
     monkeypatch.setattr(engine_module(), "render", render)
     return render
 
@@ -345,6 +345,22 @@ def test_viewport_starts_again_on_a_change_and_ends_when_closed(fake_render):
     assert refiner.picture.pixels.shape == (40, 100, 4)
     refiner.close()
     wait_for(lambda: not any(t.name == "PointMR viewport" for t in threading.enumerate()))
+
+
+def test_viewport_does_not_build_anew_for_another_view(fake_render):
+    """Moving while hierarchies are built lets that go on; a new scene ends it."""
+    fake_render.seconds, fake_render.phase = 60, "building hierarchies"
+    refiner = Refiner()
+    scene = Scene(Group("root"), Camera())
+    refiner.start(scene, RenderSettings(samples=1), VIEW)
+    wait_for(lambda: len(fake_render.calls) == 1)
+    refiner.start(scene, RenderSettings(samples=1), VIEW._replace(width=100))
+    time.sleep(0.1)
+    assert len(fake_render.calls) == 1
+    fake_render.seconds = 0.01
+    refiner.start(Scene(Group("root"), Camera()), RenderSettings(samples=1), VIEW._replace(width=100))
+    wait_for(lambda: refiner.picture is not None and refiner.picture.scale == 1)
+    refiner.close()
 
 
 def test_viewport_keeps_the_error_for_the_user(monkeypatch):
