@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.hierarchy.nesting import enter
 from pointmr_engine.numerics.jit import uncounted
-from pointmr_engine.numerics.pointers import pointer_f64
 
 
 class Transforms(NamedTuple):
@@ -60,37 +60,13 @@ def compose_root(transforms: Transforms, camera_from_world, octree, group, out_r
 
 
 @uncounted
-def placed_group(instances, batch, placement):
-    """Index of the group that placement `placement` of a batch places; instances: BatchTables."""
-    row = np.int64(instances.group_first[batch])
-    first = instances.group[batch, 0]
-    if first >= 0:
-        row += np.int64(instances.group_values[first + instances.group[batch, 1] * placement])
-    return np.int64(instances.batch_groups[row])
-
-
-@uncounted
 def compose(transforms: Transforms, parent_row, octree, instances, batch, placement, out_row):
     """Row `out_row`: the placement `placement` of batch `batch`, met inside row `parent_row`. Returns its group.
 
     octree: OctreeArrays; instances: BatchTables; indices int64.
     """
-    m = transforms.matrix
     outer = np.int64(transforms.group[parent_row])
-    group = placed_group(instances, batch, placement)
-    t = pointer_f64(instances.transforms[batch])
-    at = 12 * placement
-    x, y, z = octree.group_center[group, 0], octree.group_center[group, 1], octree.group_center[group, 2]
-    # where the child's centre lies, relative to the parent group's
-    ox = t[at] * x + t[at + 1] * y + t[at + 2] * z + t[at + 3] - octree.group_center[outer, 0]
-    oy = t[at + 4] * x + t[at + 5] * y + t[at + 6] * z + t[at + 7] - octree.group_center[outer, 1]
-    oz = t[at + 8] * x + t[at + 9] * y + t[at + 10] * z + t[at + 11] - octree.group_center[outer, 2]
-    for r in range(3):
-        a, b, c = m[parent_row, 4 * r], m[parent_row, 4 * r + 1], m[parent_row, 4 * r + 2]
-        m[out_row, 4 * r] = a * t[at] + b * t[at + 4] + c * t[at + 8]
-        m[out_row, 4 * r + 1] = a * t[at + 1] + b * t[at + 5] + c * t[at + 9]
-        m[out_row, 4 * r + 2] = a * t[at + 2] + b * t[at + 6] + c * t[at + 10]
-        m[out_row, 4 * r + 3] = a * ox + b * oy + c * oz + m[parent_row, 4 * r + 3]
+    group = enter(transforms.matrix, parent_row, outer, octree, instances, batch, placement, out_row)
     transforms.parent[out_row] = parent_row
     transforms.record[out_row] = instances.first_record[batch] + placement
     transforms.group[out_row] = group
