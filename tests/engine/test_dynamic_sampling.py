@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from instanced import nest, random_mesh, random_transforms
 
 from pointmr_engine.hierarchy.distribution import build_distribution, draw_points
+from pointmr_engine.hierarchy.dynamic_octree import DynamicOctree
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.hierarchy.nesting import area_scale
 from pointmr_engine.hierarchy.octree import build_octree
+from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.group import Group, Instances
 from pointmr_engine.scene.scene import Scene
 
@@ -120,3 +124,93 @@ def test_area_scale_is_the_product_of_the_two_largest_singular_values():
         assert bound == pytest.approx(s[0] * s[1], rel=1e-6)
         assert bound >= s[0] * s[1] * (1 - 1e-9)
         assert even == (k % 3 == 0)
+
+
+def random_items(rng, n: int):
+    centers = rng.normal(size=(n, 3)) * 10.0 ** rng.integers(-3, 4, (n, 1))
+    if n > 20:
+        centers[: n // 4] = centers[0]  # many in one place
+    half = rng.random((n, 3)) * 10.0 ** rng.integers(-6, 2, (n, 1))
+    if n > 20:
+        half[: n // 4] = half[0]
+    rows = np.column_stack([np.arange(n), rng.integers(0, 9, n)])
+    return rows, rng.random(n) + 1e-3, np.concatenate([centers - half, centers + half], 1)
+
+
+def assert_same_as_fresh(octree: DynamicOctree, rows, areas, boxes):
+    fresh = DynamicOctree()
+    fresh.insert(rows, areas, boxes)
+    n = 4000
+    us = (np.arange(n) + 0.5) / n
+    share = np.bincount(rows[:, 0], areas) / areas.sum() * n
+    for tree in (octree, fresh):
+        assert len(tree) == len(rows)
+        assert tree.area == pytest.approx(areas.sum(), rel=1e-12)
+        box = tree.nodes.box[tree.root]
+        assert (box[:3] == boxes[:, :3].min(0)).all() and (box[3:] == boxes[:, 3:].max(0)).all()
+        drawn = tree.items.row[tree.sample(us), 0]
+        assert np.abs(np.bincount(drawn, minlength=len(share)) - share).max() <= 1 + 1e-6
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32), steps=st.lists(st.tuples(st.booleans(), st.integers(1, 60)), max_size=12))
+def test_a_changed_octree_draws_as_a_fresh_one(seed, steps):
+    rng = np.random.default_rng(seed)
+    octree = DynamicOctree()
+    total = 1 + sum(n for _, n in steps)
+    rows, areas, boxes = random_items(rng, total)
+    number = np.full(total, -1)
+    number[:1] = octree.insert(rows[:1], areas[:1], boxes[:1])
+    for insert, n in steps:
+        there = np.flatnonzero(number >= 0)
+        if insert:
+            new = np.flatnonzero(number < 0)[:n]
+            number[new] = octree.insert(rows[new], areas[new], boxes[new])
+        elif len(there) > 1:
+            old = rng.permutation(there)[: min(n, len(there) - 1)]
+            octree.delete(number[old])
+            number[old] = -1
+    there = number >= 0
+    assert (octree.items.row[number[there]] == rows[there]).all()
+    assert_same_as_fresh(octree, rows[there], areas[there], boxes[there])
+
+
+def test_changes_touch_one_path():
+    """No rebuild: the nodes looked at grow with the height, not with the number of items."""
+    rng = np.random.default_rng(1)
+    octree = DynamicOctree()
+    touched = {}
+    for n in (2000, 64_000):
+        centers, half = rng.random((n, 3)), 0.5 * n ** (-1 / 3)
+        numbers = octree.insert(
+            np.zeros((n, 2), int), np.ones(n), np.concatenate([centers - half, centers + half], 1)
+        )
+        worst = 0
+        for i in numbers[:: n // 100]:
+            box, row = octree.items.box[i : i + 1].copy(), octree.items.row[i : i + 1].copy()
+            octree.delete(numbers[:0])
+            octree.delete(np.array([i]))
+            worst = max(worst, octree.touched)
+            octree.insert(row, np.ones(1), box)
+            worst = max(worst, octree.touched)
+            octree.sample(rng.random(1))
+            worst = max(worst, octree.touched)
+        touched[n] = worst
+    assert touched[2000] < 40 and touched[64_000] < 60
+    octree.delete(np.flatnonzero(octree.items.node[: octree._state[4]] >= 0))
+    assert len(octree) == 0 and octree.area == 0.0
+
+
+def test_the_dynamic_octree_refuses_what_it_cannot_hold():
+    octree = DynamicOctree()
+    box = np.array([[0, 0, 0, 1, 1, 1.0]])
+    with pytest.raises(SceneError, match="empty"):
+        octree.sample(np.zeros(1))
+    with pytest.raises(SceneError, match="not usable"):
+        octree.insert([[3, 4]], [np.nan], box)
+    with pytest.raises(SceneError, match="not usable"):
+        octree.insert([[3, 4]], [1.0], box + np.inf)
+    number = octree.insert([[3, 4]], [1.0], box)
+    octree.delete(number)
+    with pytest.raises(SceneError, match="not there"):
+        octree.delete(number)
