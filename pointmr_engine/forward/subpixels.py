@@ -1,0 +1,219 @@
+"""A tile's subpixel depth buffer, and the two shapes that are drawn into it: surfels' ellipses and triangles.
+
+Depth is kept as nearness, which is linear in the image for planes: 1 / z in perspective. Every subpixel remembers its nearest entry
+(science 6.2: opaque ellipses in a subpixel depth buffer beat alpha with merged sums in time and error).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.numerics.jit import device
+from pointmr_engine.numerics.simd import WIDTH
+from pointmr_engine.numerics.simd_cover import cover_eight, farthest_row
+from pointmr_engine.raytracing.camera import CameraArrays
+
+BLOCK = 16  # subpixels per side of a block, whose farthest depth occlusion culling reads
+EMPTY = -1  # in `ids`
+
+
+class View(NamedTuple):
+    """A camera in subpixels. x = raster_x of a camera-space point, times subpixels per pixel; all float64."""
+
+    perspective: bool
+    scale_x: float  # subpixels per unit of x / z (perspective) or of x (orthographic)
+    scale_y: float
+    shift_x: float  # subpixel coordinate of the view axis
+    shift_y: float
+    near: float
+    far: float
+    depth_shift: float  # orthographic: nearness = depth_shift - z * depth_scale
+    depth_scale: float
+
+
+class Target(NamedTuple):
+    """A tile's buffers. Rows are padded so that eight values can be read anywhere."""
+
+    depth: np.ndarray  # (H, W + 8) float32 nearness of the nearest entry; 0: nothing
+    ids: np.ndarray  # (H, W + 8) int32 entry, EMPTY: nothing
+    farthest: np.ndarray  # (H / BLOCK, W / BLOCK) float32: lowest nearness in a block, or lower
+    stale: np.ndarray  # the same, uint8: something was drawn since `farthest` was taken
+    address: np.ndarray  # (3,) uint64: of depth, ids, pattern
+    pattern: np.ndarray  # (8, 16) float32: thresholds of an ordered dither, twice side by side
+
+
+def make_view(camera: CameraArrays, subpixels: int, depth_range: tuple[float, float]) -> View:
+    """The view for a camera; depth_range: z of the nearest and farthest thing, for orthographic cameras."""
+    perspective = bool(camera.perspective[0])
+    scale_x, scale_y = (subpixels / camera.plane[1]).tolist()
+    low, high = depth_range
+    near, far = (float(c) for c in camera.clip)
+    low, high = max(low, near), min(high, far)
+    span = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-30)
+    return View(
+        perspective,
+        float(scale_x),
+        float(scale_y),
+        float(-camera.plane[0, 0] * scale_x),
+        float(-camera.plane[0, 1] * scale_y),
+        near,
+        far,
+        (low + 2.0 * span) / span,
+        1.0 / span,
+    )
+
+
+def allocate_target(width: int, height: int) -> Target:
+    """Buffers for width x height subpixels, rounded up to whole blocks."""
+    width, height = -(-width // BLOCK) * BLOCK, -(-height // BLOCK) * BLOCK
+    depth = np.zeros((height, width + WIDTH), np.float32)
+    ids = np.full((height, width + WIDTH), EMPTY, np.int32)
+    pattern = _dither()
+    blocks = (height // BLOCK, width // BLOCK)
+    address = np.array([a.ctypes.data for a in (depth, ids, pattern)], np.uint64)
+    return Target(depth, ids, np.zeros(blocks, np.float32), np.zeros(blocks, np.uint8), address, pattern)
+
+
+def clear(target: Target, width: int) -> None:
+    """Empty all buffers for a tile that is `width` subpixels wide; what lies beyond hides nothing and shows nothing."""
+    target.depth.fill(0.0)
+    target.depth[:, width:] = np.inf
+    target.ids.fill(EMPTY)
+    target.farthest.fill(0.0)
+    target.stale.fill(0)
+
+
+def _dither() -> np.ndarray:
+    """An 8 x 8 Bayer matrix of thresholds in (0, 1), repeated once along x."""
+    m = np.zeros((1, 1))
+    for _ in range(3):
+        m = np.block([[4 * m, 4 * m + 2], [4 * m + 3, 4 * m + 1]])
+    return np.ascontiguousarray(np.tile((m + 0.5) / 64, (1, 2)), np.float32)
+
+
+@device
+def cover_run(target, y, first, last, nearness, slope, entry, opacity, phase):
+    """Draw entry at the subpixels first..last of row y; nearness at `first`. Returns whether any was written."""
+    stride = np.int64(target.depth.shape[1])
+    written = np.int64(0)
+    limits = target.address[2] + np.uint64(64 * ((y + (phase >> 3)) & 7) + 4 * ((first + phase) & 7))
+    x = first
+    while x <= last:
+        written |= cover_eight(
+            target.address[0], target.address[1], y * stride + x, min(np.int64(WIDTH), last - x + 1),
+            np.float32(nearness + slope * (x - first)), np.float32(slope), entry, limits, np.float32(opacity),
+        )  # fmt: skip
+        x += WIDTH
+    return written != 0
+
+
+@device
+def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope_y, entry, opacity, phase):
+    """Draw the ellipse d^T [[a, b], [b, c]]^-1 d <= 1 about (x, y); returns whether anything was written.
+
+    Subpixel (i, j) is covered when its centre (i + 0.5, j + 0.5) is inside. slope_*: growth of nearness per subpixel.
+    """
+    c = max(c, 1e-9)
+    reach = math.sqrt(c)
+    y0 = max(np.int64(math.ceil(y - reach - 0.5)), np.int64(0))
+    y1 = min(np.int64(math.floor(y + reach - 0.5)), height - 1)
+    lean = b / c
+    spread = max(a - b * lean, 0.0)
+    inverse = 1.0 / c
+    written = False
+    for j in range(y0, y1 + 1):
+        dy = j + 0.5 - y
+        half = math.sqrt(max(spread * (1.0 - dy * dy * inverse), 0.0))
+        middle = x + lean * dy - 0.5
+        x0 = max(np.int64(math.ceil(middle - half)), np.int64(0))
+        x1 = min(np.int64(math.floor(middle + half)), width - 1)
+        if x0 <= x1:
+            w = nearness + slope_y * dy + slope_x * (x0 + 0.5 - x)
+            if cover_run(target, j, x0, x1, w, slope_x, entry, opacity, phase):
+                written = True
+    return written
+
+
+@device
+def _crossing(y, xa, ya, xb, yb):
+    """Where the edge meets row centre y: the same from both triangles that share it, whatever their order."""
+    if ya > yb or (ya == yb and xa > xb):
+        xa, ya, xb, yb = xb, yb, xa, ya
+    return xa + (y - ya) * ((xb - xa) / (yb - ya))
+
+
+@device
+def cover_triangle(target, width, height, x, y, w, entry):
+    """Draw a triangle with corners x, y, nearness w (three float64 each, in subpixels); whether anything was written.
+
+    Subpixels whose centres are inside, and of those on a shared edge each once.
+    """
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+    low, high = min(y[0], y[1], y[2]), max(y[0], y[1], y[2])
+    y0 = np.int64(max(math.ceil(low - 0.5), 0.0))
+    y1 = np.int64(min(math.ceil(high - 0.5) - 1.0, height - 1.0))
+    if area == 0.0 or y0 > y1 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:
+        return False
+    slope_x = ((w[1] - w[0]) * (y[2] - y[0]) - (w[2] - w[0]) * (y[1] - y[0])) / area
+    slope_y = ((w[2] - w[0]) * (x[1] - x[0]) - (w[1] - w[0]) * (x[2] - x[0])) / area
+    least, most = min(w[0], w[1], w[2]), max(w[0], w[1], w[2])
+    written = False
+    for j in range(y0, y1 + 1):
+        yc = j + 0.5
+        left, right = math.inf, -math.inf
+        for k in range(3):
+            n = k + 1 if k < 2 else 0
+            if (y[k] <= yc) != (y[n] <= yc):
+                at = _crossing(yc, x[k], y[k], x[n], y[n])
+                left, right = min(left, at), max(right, at)
+        x0 = np.int64(max(math.ceil(left - 0.5), 0.0))
+        x1 = np.int64(min(math.ceil(right - 0.5) - 1.0, width - 1.0))
+        if x0 <= x1:
+            first = w[0] + slope_y * (yc - y[0]) + slope_x * (x0 + 0.5 - x[0])
+            step = slope_x
+            last = first + step * (x1 - x0)
+            if first < least or first > most or last < least or last > most:
+                # a triangle thinner than rounding: stay between its corners
+                first = min(max(first, least), most)
+                step = 0.0
+            if cover_run(target, j, x0, x1, first, step, entry, 2.0, np.int64(0)):
+                written = True
+    return written
+
+
+@device
+def mark_drawn(target, width, height, x0, y0, x1, y1):
+    """Note that something may have been drawn between these subpixels (float64, clipped here)."""
+    i0, i1 = np.int64(max(x0, 0.0)) // BLOCK, np.int64(min(x1, width - 1.0)) // BLOCK
+    j0, j1 = np.int64(max(y0, 0.0)) // BLOCK, np.int64(min(y1, height - 1.0)) // BLOCK
+    for j in range(j0, j1 + 1):
+        for i in range(i0, i1 + 1):
+            target.stale[j, i] = 1
+
+
+@device
+def is_hidden(target, width, height, x0, y0, x1, y1, nearness):
+    """Whether all subpixels between x0, y0 and x1, y1 (float64) show something nearer than `nearness`."""
+    i0, i1 = np.int64(max(x0, 0.0)) // BLOCK, np.int64(min(x1, width - 1.0)) // BLOCK
+    j0, j1 = np.int64(max(y0, 0.0)) // BLOCK, np.int64(min(y1, height - 1.0)) // BLOCK
+    stride = np.int64(target.depth.shape[1])
+    for j in range(j0, j1 + 1):
+        for i in range(i0, i1 + 1):
+            if target.farthest[j, i] > nearness:
+                continue
+            if target.stale[j, i] == 0:
+                return False
+            least = np.float32(np.inf)
+            for k in range(BLOCK):
+                row = j * BLOCK + k
+                if row < height:
+                    at = row * stride + i * BLOCK
+                    least = farthest_row(target.address[0], at, np.int64(BLOCK), least)
+            target.farthest[j, i] = least
+            target.stale[j, i] = 0
+            if least <= nearness:
+                return False
+    return True

@@ -1,0 +1,314 @@
+"""Static selection: one walk through the octrees of all placements for a tile, nearest boxes first.
+
+A node is drawn from its sample set when the set is dense enough in the image at the box's nearest depth, which splits
+space into depth classes that double (talk: "Depth Approximation"); else the walk goes to its children. Large triangles are
+drawn as the walk passes them, instances continue in their group's octree. Boxes outside the tile, and boxes behind what is
+drawn already, are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.forward.draw import Entries, corner, draw_set, draw_triangle
+from pointmr_engine.forward.subpixels import Target, View, is_hidden, mark_drawn
+from pointmr_engine.forward.transforms import (
+    Transforms,
+    allocate_transforms,
+    box_to_camera,
+    compose,
+    compose_root,
+    grow_transforms,
+)
+from pointmr_engine.hierarchy.octree import SPACING
+from pointmr_engine.hierarchy.sample_sets import NOT_YET
+from pointmr_engine.numerics.jit import device, uncounted
+
+DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
+COUNTERS = (
+    "nodes", "outside", "hidden", "sets", "surfels", "triangles", "instances", "waiting",
+)  # fmt: skip
+
+
+class Heap(NamedTuple):
+    """Boxes to visit, the nearest at the top."""
+
+    key: np.ndarray  # (H,) float64
+    node: np.ndarray  # (H,) int32
+    row: np.ndarray  # (H,) int32 of the transforms
+
+
+class Hierarchy(NamedTuple):
+    """What a walk reads of the scene."""
+
+    octree: NamedTuple  # OctreeArrays
+    sets: NamedTuple  # SetArrays
+    parts: NamedTuple  # PartTables
+    instances: NamedTuple  # BatchTables
+
+
+class Scratch:
+    """One thread's buffers for walking; they grow as needed."""
+
+    def __init__(self, target: Target):
+        self.target = target
+        self.entries = Entries(np.empty(1 << 16, np.int64), np.empty(1 << 16, np.int32))
+        self.heap = Heap(np.empty(1 << 12), np.empty(1 << 12, np.int32), np.empty(1 << 12, np.int32))
+        self.transforms = allocate_transforms(1 << 12)
+        self.scale = np.empty(1 << 12)
+        self.counters = np.zeros(len(COUNTERS), np.int64)
+        self.used = np.zeros(2, np.int64)  # entries, transforms
+        self.box = np.empty(6)
+        self.bounds = np.empty(4)
+        self.corners = np.empty((3, 3))
+
+    def grow(self, status: int) -> None:
+        if status == ENTRIES_FULL:
+            self.entries = Entries(*(np.empty(2 * len(a), a.dtype) for a in self.entries))
+        elif status == HEAP_FULL:
+            self.heap = Heap(*(np.empty(2 * len(a), a.dtype) for a in self.heap))
+        else:
+            self.transforms = grow_transforms(self.transforms, 0, 2 * len(self.transforms.parent))
+            self.scale = np.empty(len(self.transforms.parent))
+
+
+def walk(
+    view: View,
+    hierarchy: Hierarchy,
+    camera_from_world: np.ndarray,
+    spacing: float,
+    bounds: tuple[int, int, int, int],
+    scratch: Scratch,
+    wanted: np.ndarray,
+    culling: bool = True,
+) -> int:
+    """Draw the scene's part in a tile into scratch.target, which is empty; returns the number of entries.
+
+    spacing: of samples, in subpixels, at most. bounds: x0, y0, x1, y1 of the tile in subpixels of the whole image.
+    wanted (nodes,) uint8: 1 is written where a set is needed that is not built; such nodes are not drawn.
+    culling: leave out boxes that are hidden by what is drawn already.
+    """
+    before = scratch.counters.copy()
+    while True:
+        status = _walk(
+            view, hierarchy, np.ascontiguousarray(camera_from_world[:3], np.float64), float(spacing), *(np.int64(b) for b in bounds),
+            scratch.target, scratch.entries, scratch.heap, scratch.transforms, scratch.scale, scratch.box,
+            scratch.bounds, scratch.corners, wanted, bool(culling), scratch.used, scratch.counters,
+        )  # fmt: skip
+        if status == DONE:
+            return int(scratch.used[0])
+        scratch.grow(status)
+        from pointmr_engine.forward.subpixels import clear
+
+        clear(scratch.target, bounds[2] - bounds[0])
+        scratch.counters[:] = before
+
+
+@device
+def _push(heap, size, key, node, row):
+    at = size
+    while at > 0:
+        up = (at - 1) >> 1
+        if heap.key[up] <= key:
+            break
+        heap.key[at], heap.node[at], heap.row[at] = heap.key[up], heap.node[up], heap.row[up]
+        at = up
+    heap.key[at], heap.node[at], heap.row[at] = key, node, row
+
+
+@device
+def _pop(heap, size):
+    """Take the top away; its values must have been read. size: before."""
+    last = size - 1
+    key, node, row = heap.key[last], heap.node[last], heap.row[last]
+    at = np.int64(0)
+    while True:
+        child = 2 * at + 1
+        if child >= last:
+            break
+        if child + 1 < last and heap.key[child + 1] < heap.key[child]:
+            child += 1
+        if heap.key[child] >= key:
+            break
+        heap.key[at], heap.node[at], heap.row[at] = heap.key[child], heap.node[child], heap.row[child]
+        at = child
+    heap.key[at], heap.node[at], heap.row[at] = key, node, row
+
+
+@device
+def bound_in_tile(view, box, pad, left, low, width, height, out):
+    """Subpixel bounds (x0, y0, x1, y1) in the tile of a camera-space box, grown by `pad`; False: outside the tile."""
+    x0, y0, z0 = box[0] - pad, box[1] - pad, box[2] - pad
+    x1, y1, z1 = box[3] + pad, box[4] + pad, box[5] + pad
+    if z1 <= view.near or z0 >= view.far:
+        return False
+    if not view.perspective:
+        out[0] = x0 * view.scale_x + view.shift_x - left
+        out[1] = y0 * view.scale_y + view.shift_y - low
+        out[2] = x1 * view.scale_x + view.shift_x - left
+        out[3] = y1 * view.scale_y + view.shift_y - low
+        return out[2] >= 0.0 and out[3] >= 0.0 and out[0] <= width and out[1] <= height
+    if z0 > view.near:
+        near, far = 1.0 / z0, 1.0 / z1
+        out[0] = x0 * (near if x0 < 0.0 else far) * view.scale_x + view.shift_x - left
+        out[1] = y0 * (near if y0 < 0.0 else far) * view.scale_y + view.shift_y - low
+        out[2] = x1 * (near if x1 > 0.0 else far) * view.scale_x + view.shift_x - left
+        out[3] = y1 * (near if y1 > 0.0 else far) * view.scale_y + view.shift_y - low
+        return out[2] >= 0.0 and out[3] >= 0.0 and out[0] <= width and out[1] <= height
+    # it reaches behind the near plane: only the tile's side planes can leave it out
+    z0 = view.near
+    a, b = (left - view.shift_x) / view.scale_x, (left + width - view.shift_x) / view.scale_x
+    c, d = (low - view.shift_y) / view.scale_y, (low + height - view.shift_y) / view.scale_y
+    if x1 < min(a * z0, a * z1) or x0 > max(b * z0, b * z1):
+        return False
+    if y1 < min(c * z0, c * z1) or y0 > max(d * z0, d * z1):
+        return False
+    out[0], out[1], out[2], out[3] = 0.0, 0.0, width, height
+    return True
+
+
+@device
+def _stretch(matrix, row):
+    """The largest length of the matrix's columns: how much it stretches, within a factor of sqrt(3)."""
+    most = 0.0
+    for c in range(3):
+        a, b, d = matrix[row, c], matrix[row, 4 + c], matrix[row, 8 + c]
+        most = max(most, a * a + b * b + d * d)
+    return math.sqrt(most)
+
+
+@device
+def _nearest(view, low):
+    return max(low, view.near) if view.perspective else low
+
+
+@device
+def _add(view, hierarchy, heap, size, transforms, node, row, pad, box, bounds, left, low, width, height, counters):
+    """Put a node on the heap if it can be seen; returns the heap's size, -1 when it is full."""
+    box_to_camera(transforms.matrix, row, hierarchy.octree.box, node, box)
+    counters[0] += 1
+    if not bound_in_tile(view, box, pad, left, low, width, height, bounds):
+        counters[1] += 1
+        return size
+    if size >= len(heap.key):
+        return np.int64(-1)
+    _push(heap, size, box[2], np.int32(node), np.int32(row))
+    return size + 1
+
+
+@uncounted
+def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, target, entries, heap, transforms,
+          scale, box, bounds, corners, wanted, culling, used, counters):  # fmt: skip
+    octree, sets = hierarchy.octree, hierarchy.sets
+    width, height = right - left, high - low
+    root = len(octree.group_root) - 1
+    used[0] = used[1] = 0
+    if root < 0 or octree.group_root[root] < 0:
+        return DONE
+    # how much longer lengths become away from the view axis (talk: distortion factor), at the tile's farthest corner
+    stretch = 1.0
+    if view.perspective:
+        far_x = max(abs(left - view.shift_x), abs(right - view.shift_x)) / view.scale_x
+        far_y = max(abs(low - view.shift_y), abs(high - view.shift_y)) / view.scale_y
+        stretch = math.sqrt(1.0 + far_x * far_x + far_y * far_y)
+    focal = max(view.scale_x, view.scale_y) * stretch
+    compose_root(transforms, camera_from_world, octree, root, np.int64(0))
+    scale[0] = _stretch(transforms.matrix, np.int64(0))
+    rows = np.int64(1)
+    count = np.int64(0)
+    size = _add(view, hierarchy, heap, np.int64(0), transforms, np.int64(octree.group_root[root]), np.int64(0), 0.0,
+                box, bounds, left, low, width, height, counters)  # fmt: skip
+    while size > 0:
+        near, node, row = heap.key[0], np.int64(heap.node[0]), np.int64(heap.row[0])
+        _pop(heap, size)
+        size -= 1
+        apart = octree.side[node] * SPACING * scale[row]
+        if culling and size + count > 0:
+            box_to_camera(transforms.matrix, row, octree.box, node, box)
+            bound_in_tile(view, box, apart, left, low, width, height, bounds)
+            hidden = False
+            if view.perspective:
+                if near - apart > view.near:
+                    hidden = is_hidden(
+                        target, width, height, bounds[0], bounds[1], bounds[2], bounds[3], 1.0 / (near - apart)
+                    )
+            else:
+                w = view.depth_shift - (near - apart) * view.depth_scale
+                hidden = is_hidden(target, width, height, bounds[0], bounds[1], bounds[2], bounds[3], w)
+            if hidden:
+                counters[2] += 1
+                continue
+        own, large, own_end = octree.items[node, 0], octree.items[node, 1], octree.items[node, 2]
+        projected = apart * focal
+        dense = projected <= spacing
+        if view.perspective:
+            dense = near > 0.0 and projected <= spacing * near
+        first = sets.sets[node, 0]
+        drawn = large
+        if dense and first == NOT_YET:
+            wanted[node] = 1
+            counters[7] += 1
+        elif dense and first >= 0:
+            n = sets.sets[node, 1]
+            if count + n > len(entries.surfel):
+                return ENTRIES_FULL
+            count = draw_set(
+                view, target, width, height, left, low, transforms.matrix, row, scale[row], sets.row, first, n,
+                entries, count,
+            )  # fmt: skip
+            counters[3] += 1
+            counters[4] += n
+        else:
+            drawn = own_end
+            for c in range(octree.child[node, 0], octree.child[node, 0] + octree.child[node, 1]):
+                size = _add(view, hierarchy, heap, size, transforms, np.int64(c), row, 0.5 * apart, box, bounds,
+                            left, low, width, height, counters)  # fmt: skip
+                if size < 0:
+                    return HEAP_FULL
+        for i in range(own, drawn):
+            part, which = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
+            if part < 0:
+                if rows >= len(scale):
+                    return TRANSFORMS_FULL
+                group = compose(transforms, row, octree, hierarchy.instances, -1 - part, which, rows)
+                counters[6] += 1
+                scale[rows] = _stretch(transforms.matrix, rows)
+                before = size
+                size = _add(view, hierarchy, heap, size, transforms, np.int64(octree.group_root[group]), rows, 0.0,
+                            box, bounds, left, low, width, height, counters)  # fmt: skip
+                if size < 0:
+                    return HEAP_FULL
+                if size > before:
+                    rows += 1
+                continue
+            if count >= len(entries.surfel):
+                return ENTRIES_FULL
+            _to_camera(transforms.matrix, row, octree, hierarchy.parts, part, which, np.int64(transforms.group[row]), corners)
+            counters[5] += 1
+            if draw_triangle(view, target, width, height, left, low, corners, count):
+                entries.surfel[count] = -1 - np.int64(i)
+                entries.row[count] = row
+                count += 1
+        box_to_camera(transforms.matrix, row, octree.box, node, box)
+        if bound_in_tile(view, box, apart, left, low, width, height, bounds):
+            mark_drawn(target, width, height, bounds[0], bounds[1], bounds[2], bounds[3])
+    used[0] = count
+    used[1] = rows
+    return DONE
+
+
+@device
+def _to_camera(matrix, row, octree, parts, part, triangle, group, corners):
+    """A triangle's corners in camera space."""
+    for v in range(3):
+        x = corner(parts, part, triangle, v, octree.part_offset[part], 0) - octree.group_center[group, 0]
+        y = corner(parts, part, triangle, v, octree.part_offset[part], 1) - octree.group_center[group, 1]
+        z = corner(parts, part, triangle, v, octree.part_offset[part], 2) - octree.group_center[group, 2]
+        for r in range(3):
+            at = 4 * r
+            corners[v, r] = (
+                matrix[row, at] * x + matrix[row, at + 1] * y + matrix[row, at + 2] * z + matrix[row, at + 3]
+            )
