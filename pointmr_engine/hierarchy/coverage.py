@@ -36,8 +36,8 @@ class Extra(NamedTuple):
 def verified_radius(triangles: np.ndarray, samples: np.ndarray, tolerance: float = 1e-3) -> float:
     """An upper bound of the largest distance from any point of triangles (T, 3, 3) to the nearest of samples (K, 3).
 
-    At most 1 + tolerance times the true distance. Triangles without area count nothing. 0 without triangles, infinite without
-    samples.
+    At most 1 + tolerance times the true distance. Triangles without area count nothing. Without triangles 0, without
+    samples infinite.
     """
     triangles = as_triangles(triangles)
     tolerance = positive(tolerance, "tolerance")
@@ -50,7 +50,8 @@ def verified_radius(triangles: np.ndarray, samples: np.ndarray, tolerance: float
 def fill_uncovered(triangles: np.ndarray, samples: np.ndarray, spacing: float) -> Extra:
     """Points of triangles (T, 3, 3), more than `spacing` apart, that bring all of them within `spacing` of a sample.
 
-    samples (K, 3). Few where the samples miss only slivers between the candidates that they were chosen from. All in one space.
+    samples (K, 3), in the space of the triangles. Few are added where they miss only slivers between the candidates
+    that they were chosen from.
     """
     triangles = as_triangles(triangles)
     samples = _points(samples)
@@ -104,7 +105,7 @@ def _bare(triangles: np.ndarray, which: np.ndarray, tree: PointTree, spacing: fl
 
 @_jit
 def _load(triangles, t, part, top, corner):
-    """Positions of a part's corners to rows 0 to 2 of corner, of its centre to row 3; its longest edge, squared, and which."""
+    """Write a part's corners to rows 0 to 2 of corner, its centre to row 3; its longest edge, squared, and which."""
     for k in range(3):
         a, b, c = triangles[t, 0, k], triangles[t, 1, k], triangles[t, 2, k]
         for i in range(3):

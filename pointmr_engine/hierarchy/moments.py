@@ -25,8 +25,9 @@ def merge_moments(
 ) -> Moments:
     """Moments of `count` samples, each merged from the parts that name it as their owner.
 
-    owner (C,) int32, a negative one drops the part; area (C,), position (C, 3) centroid and covariance (C, 6) of the parts,
-    all float32. Summed in float64, in the order of the parts; covariances about the merged centroid, so that nothing cancels.
+    owner (C,) int32, a negative one drops the part; area (C,), position (C, 3) centroid and covariance (C, 6) of the
+    parts, all float32. Summed in float64, in the order of the parts; covariances about the merged centroid, so that
+    nothing cancels.
     """
     merged = Moments(
         np.zeros(count, np.float32), np.zeros((count, 3), np.float32), np.zeros((count, 6), np.float32)

@@ -1,7 +1,7 @@
 """Pieces: triangles cut until none is longer than a given size, each with the exact moments of its own surface.
 
-The pieces are the candidates from which the sampling strategies choose: they sum exactly to the surface that they were cut
-from, which no number of random candidates does.
+The pieces are the candidates from which the sampling strategies choose: they sum exactly to the surface that they were
+cut from, which no number of random candidates does.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MOST = 2**31 - 1
 
 
 class Pieces(NamedTuple):
-    """C flat triangular pieces, in the order of the triangles that they are parts of; space and units of the triangles."""
+    """C flat triangular pieces, in the order of the triangles that they are parts of, and in their space."""
 
     triangle: np.ndarray  # (C,) int32, index of the triangle
     position: np.ndarray  # (C, 3) float32, centroid
@@ -54,9 +54,9 @@ def positive(value: float, name: str) -> float:
 def cut(triangles: np.ndarray, size: float) -> Pieces:
     """Cut triangles (T, 3, 3) into pieces whose longest edge is at most `size` (both in one space).
 
-    Compact triangles are divided into k^2 congruent ones; slivers are halved across their longest edge first. A triangle
-    without area, or with a coordinate that is not finite, has no piece. Raises SceneError for a size that is not positive
-    and for more pieces than 2^31.
+    Compact triangles are divided into k^2 congruent ones; slivers are halved across their longest edge first.
+    A triangle without area, or with a coordinate that is not finite, has no piece. Raises SceneError for a size that is
+    not positive and for more pieces than 2^31.
     """
     triangles = as_triangles(triangles)
     size = positive(size, "size of a piece")
@@ -159,7 +159,7 @@ def _count(triangles, size, stack, count):
         if longest <= size:
             count[t] = 1
             continue
-        if longest / size > 2e9:
+        if longest / size > 1e8:
             count[t] = -1
             continue
         _whole(stack)
@@ -174,6 +174,8 @@ def _count(triangles, size, stack, count):
             else:
                 total += k * k
                 top -= 1
+            if total > _MOST:
+                total, top = -1, -1
         count[t] = total
 
 

@@ -1,4 +1,4 @@
-"""Samples of a surface: cut into pieces, choose some, fill holes, and give each sample the moments of its own pieces."""
+"""Samples of a surface: cut it into pieces, choose some, fill holes, give each sample the moments of its own pieces."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from pointmr_engine.hierarchy.strategies import select
 from pointmr_engine.scene.errors import SceneError
 
 PIECES_PER_SPACING = 4.0
+# Pieces reach beyond their centres. Rather than fill a sliver beside every sample, neighbourhood-based sampling covers
+# the centres a little more closely: measured, 0.95 of the spacing (4 pieces per spacing) takes 15 % fewer than 1.
+_CLOSER = 0.2
 
 
 class SurfaceSamples(NamedTuple):
@@ -38,9 +41,9 @@ def sample_triangles(
 ) -> SurfaceSamples:
     """Samples of triangles (T, 3, 3) such that every point of them lies within `spacing` of one.
 
-    strategy: one of strategies.STRATEGIES; `random` may leave holes with probability `failure` instead. Candidates are pieces of
-    size spacing / pieces_per_spacing: smaller ones need fewer samples added between them. A sample without area owns no
-    piece, but is needed to cover. Raises SceneError for values out of range.
+    strategy: one of strategies.STRATEGIES; `random` may leave holes instead, with a probability that `failure` sets.
+    Candidates are pieces of size spacing / pieces_per_spacing. A sample without area owns no piece, but is needed to
+    cover. Raises SceneError for values out of range.
     """
     triangles = as_triangles(triangles)
     spacing = positive(spacing, "spacing")
@@ -49,7 +52,8 @@ def sample_triangles(
         # else a sample that is added to fill a hole could lie farther from its own piece's centre than others do
         raise SceneError(f"pieces_per_spacing must be at least 2, not {finer:g}")
     pieces = cut(triangles, spacing / finer)
-    chosen = select(strategy, pieces.position, pieces.area, spacing, seed, failure)
+    closer = 1.0 - _CLOSER / finer if strategy == "neighbourhood" else 1.0
+    chosen = select(strategy, pieces.position, pieces.area, spacing * closer, seed, failure)
     position, owner = chosen.position, chosen.owner
     triangle, u, v = (part[chosen.representative] for part in (pieces.triangle, pieces.u, pieces.v))
     if strategy != "random" and len(owner):

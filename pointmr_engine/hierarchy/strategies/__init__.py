@@ -1,6 +1,6 @@
 """Sampling strategies: which candidates of a surface stand for all of it.
 
-From the talk's comparison of static sampling's strategies, by how many samples each takes to cover a surface, N pi d^2 / A:
+From the talk's comparison for static sampling, by how many samples each takes to cover a surface, N pi d^2 / A:
 random points (grows with ln A), one point anywhere in each cell of a grid (up to 28.3), the centre of each occupied
 cell (7.1), greedy removal of covered neighbours (2.2 for a random order; 1.21 is the optimum in the plane).
 """
@@ -23,8 +23,8 @@ def select(
     """Choose samples so that every candidate lies within `spacing` of one (`random`: unless it fails).
 
     position (C, 3) and area (C,) float32 of the candidates, spacing in their unit; failure: the probability with which
-    `random` may leave a patch of area spacing^2 empty. The same seed gives the same samples. Raises SceneError for an unknown
-    strategy and for values that no strategy can work with.
+    `random` may leave a patch of area spacing^2 empty. The same seed gives the same samples. Raises SceneError for an
+    unknown strategy and for values that no strategy can work with.
     """
     if strategy not in STRATEGIES:
         raise SceneError(f"unknown sampling strategy '{strategy}': one of {', '.join(STRATEGIES)}")

@@ -1,4 +1,4 @@
-"""Jittered grid: one random candidate in each occupied cell, whose diagonal is the spacing (talk: up to 28.3 times the area)."""
+"""Jittered grid: one random candidate in each occupied cell, whose diagonal is the spacing (talk)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pointmr_engine.hierarchy.strategies.selection import Selection, seed_key, u
 
 
 def select(position: np.ndarray, area: np.ndarray, spacing: float, seed: int) -> Selection:
-    """One candidate per cell of side spacing / sqrt(3), drawn with probability proportional to area; cells own theirs."""
+    """One candidate per cell of side spacing / sqrt(3), with probability proportional to area; cells own theirs."""
     shift = np.empty(3)
     uniforms(seed_key(seed, 2), shift)
     cells = sort_into_cells(position, spacing / math.sqrt(3.0) * (1.0 - 1e-6), shift)

@@ -1,4 +1,9 @@
-"""Neighbourhood-based sampling: keep a candidate, delete all that it covers, until none is left (talk: the best strategy)."""
+"""Neighbourhood-based sampling (talk: the best strategy): keep a candidate, delete all it covers, until none is left.
+
+The talk deletes in random order. Sweeping over the surface instead, and keeping of a few candidates around the next
+uncovered one that which covers most, takes a sixth fewer samples for the same covering radius
+(benchmarks/oversampling.py).
+"""
 
 from __future__ import annotations
 
@@ -6,25 +11,42 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.strategies.cells import neighbours, sort_into_cells
-from pointmr_engine.hierarchy.strategies.selection import Selection, seed_key, shuffle
+from pointmr_engine.hierarchy.strategies.selection import Selection, seed_key, shuffle, uniform, uniforms
+
+_TRIES = 4  # measured: 3 take 1 % more samples, 6 and more no fewer
 
 
-def select(position: np.ndarray, area: np.ndarray, spacing: float, seed: int) -> Selection:
-    """Accept candidates in random order unless an accepted one lies within `spacing`; each belongs to its nearest sample.
+def select(
+    position: np.ndarray, area: np.ndarray, spacing: float, seed: int, order: str = "sweep"
+) -> Selection:
+    """Samples more than `spacing` apart, with all candidates within `spacing` of one; each belongs to the nearest.
 
-    Samples are more than `spacing` apart and all candidates within `spacing` of one: in the plane at most 3.63 and on average
-    2.19 times the area, for random order and dense candidates. Linear in their number: a sample visits the
-    candidates of the 27 cells around it once.
+    order: "sweep", along a random direction, or "random". In the plane both take at most 3.63 times the area (packing),
+    on average 2.19 from dense candidates in random order. Linear in their number (but for one sort): each sample, and
+    each candidate that is tried, visits the candidates of the 27 cells around it once.
     """
     n = len(position)
     cells = sort_into_cells(position, spacing * (1.0 + 1e-6))
-    order = np.arange(n, dtype=np.int32)
-    shuffle(seed_key(seed, 4), order)
-    place = np.empty(n, np.int32)
-    place[cells.member] = np.arange(n, dtype=np.int32)
+    near = position[cells.member]  # in the order of the cells: what is visited together lies together
+    if order == "random":
+        turn, tries = np.arange(n, dtype=np.int32), 1
+        shuffle(seed_key(seed, 4), turn)
+    else:
+        direction = np.empty(3)
+        uniforms(seed_key(seed, 5), direction)
+        turn, tries = np.argsort(near @ (direction - 0.5), kind="stable").astype(np.int32), _TRIES
     owner, chosen = np.full(n, -1, np.int32), np.empty(n, np.int32)
     count = _eliminate(
-        cells, position[cells.member], place[order], spacing * spacing, np.full(n, np.inf), owner, chosen
+        cells,
+        near,
+        area[cells.member],
+        turn,
+        float(spacing * spacing),
+        np.int64(tries),
+        seed_key(seed, 6),
+        np.full(n, np.inf),
+        owner,
+        chosen,
     )
     chosen = cells.member[chosen[:count]]
     result = np.empty(n, np.int32)
@@ -32,21 +54,71 @@ def select(position: np.ndarray, area: np.ndarray, spacing: float, seed: int) ->
     return Selection(position[chosen], chosen, result)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _eliminate(cells, position, order, radius2, best, owner, chosen):
-    """Here candidates are in the order of the cells; best (C,): squared distance to the nearest sample so far."""
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def _squared(position, m, c):
+    d2 = 0.0
+    for k in range(3):
+        d = np.float64(position[m, k]) - np.float64(position[c, k])
+        d2 += d * d
+    return d2
+
+
+@_jit
+def _around(cells, c, around):
+    return neighbours(cells, cells.key[cells.cell[cells.member[c]]], around)
+
+
+@_jit
+def _uncovered_near(cells, position, best, radius2, c, tries, key, around, tried):
+    """Write up to `tries` random uncovered candidates within the radius of c to `tried`; how many."""
+    n = 0
+    for i in range(_around(cells, c, around)):
+        for m in range(cells.start[around[i]], cells.start[around[i] + 1]):
+            if best[m] > radius2 and _squared(position, m, c) <= radius2:
+                # a reservoir: every candidate is as likely to be in it
+                j = n if n < tries else int(uniform(key, m) * (n + 1))
+                if j < tries:
+                    tried[j] = m
+                n += 1
+    return min(n, tries)
+
+
+@_jit
+def _gain(cells, position, area, best, radius2, c, around):
+    """Area of the uncovered candidates that c would cover."""
+    gain = 0.0
+    for i in range(_around(cells, c, around)):
+        for m in range(cells.start[around[i]], cells.start[around[i] + 1]):
+            if best[m] > radius2 and _squared(position, m, c) <= radius2:
+                gain += area[m]
+    return gain
+
+
+@_jit
+def _eliminate(cells, position, area, turn, radius2, tries, key, best, owner, chosen):
+    """Write the samples to chosen, and to owner the nearest; how many. best (C,): squared distance to it, at first inf.
+
+    All arrays are in the order of the cells; turn: the order in which the candidates are looked at.
+    """
     around = np.empty(27, np.int64)
+    tried = np.empty(tries, np.int64)
     count = 0
-    for k in range(len(order)):
-        c = order[k]
+    for k in range(len(turn)):
+        c = np.int64(turn[k])
         if best[c] <= radius2:
             continue
-        x, y, z = np.float64(position[c, 0]), np.float64(position[c, 1]), np.float64(position[c, 2])
-        found = neighbours(cells, cells.key[cells.cell[cells.member[c]]], around)
-        for i in range(found):
+        if tries > 1:
+            most = -1.0
+            for j in range(_uncovered_near(cells, position, best, radius2, c, tries, key, around, tried)):
+                gain = _gain(cells, position, area, best, radius2, tried[j], around)
+                if gain > most:
+                    c, most = tried[j], gain
+        for i in range(_around(cells, c, around)):
             for m in range(cells.start[around[i]], cells.start[around[i] + 1]):
-                p, q, r = position[m, 0] - x, position[m, 1] - y, position[m, 2] - z
-                d2 = p * p + q * q + r * r
+                d2 = _squared(position, m, c)
                 if d2 < best[m]:
                     best[m] = d2
                     owner[m] = count

@@ -14,7 +14,7 @@ _BITS = 21
 
 
 def select(position: np.ndarray, area: np.ndarray, spacing: float, seed: int) -> Selection:
-    """The centres of occupied cells of side 2 spacing / sqrt(3); cells own theirs, the nearest to the centre stands for it."""
+    """The centres of occupied cells of side 2 spacing / sqrt(3); cells own theirs, the most central stands for it."""
     shift = np.empty(3)
     uniforms(seed_key(seed, 2), shift)
     cells = sort_into_cells(position, 2.0 * spacing / math.sqrt(3.0) * (1.0 - 1e-6), shift)

@@ -23,7 +23,9 @@ class Selection(NamedTuple):
 
 def seed_key(seed: int, salt: int) -> np.uint64:
     """Key of a sequence of random numbers; any integer is a seed, and sequences of other salts are independent."""
-    return np.uint64((int(seed) * 0x9E3779B97F4A7C15 + salt * 0xD1B54A32D192ED03 + 1) % 2**64)
+    # hashed twice: the sequence of a key is a hash of key + k * constant, so that plain seeds would only shift it
+    key = hash_path(np.uint64(int(seed) % 2**64), np.int64(salt))
+    return np.uint64(hash_path(np.uint64(key), np.int64(salt)))
 
 
 @device
