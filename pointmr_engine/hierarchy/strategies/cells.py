@@ -1,4 +1,4 @@
-"""Cells: candidates sorted into the occupied cells of a cubic grid, found again through a hash table."""
+"""Cells: candidates sorted into the occupied cells of a cubic grid, so that neighbours lie in few contiguous ranges."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from pointmr_engine.scene.errors import SceneError
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
-_BITS = 21  # a key holds three cell coordinates of 21 bits
-_LIMIT = 2**_BITS - 4
+BITS = 21  # a key holds three cell coordinates of 21 bits
+_LIMIT = 2**BITS - 4
 
 
 class Cells(NamedTuple):
-    """C candidates in M occupied cells, numbered in the order in which the candidates meet them."""
+    """C candidates in M occupied cells, which are numbered by z, then y, then x."""
 
     cell: np.ndarray  # (C,) int32, cell of each candidate
     start: np.ndarray  # (M + 1,) int32: cell k holds the candidates member[start[k] : start[k + 1]]
     member: np.ndarray  # (C,) int32, in rising order in each cell
-    key: np.ndarray  # (M,) uint64, the cells' packed coordinates
-    slot_key: np.ndarray  # (S,) uint64 hash table: key + 1, or 0 where it is empty
-    slot_cell: np.ndarray  # (S,) int32
+    key: np.ndarray  # (M,) uint64, the cells' packed coordinates, rising
     origin: np.ndarray  # (3,) float64, corner of cell (0, 0, 0)
     side: float
 
@@ -48,24 +46,28 @@ def sort_into_cells(position: np.ndarray, side: float, shift: np.ndarray | None 
         size *= 2
     cell = np.empty(n, np.int32)
     key = np.empty(n, np.uint64)
-    slot_key = np.zeros(size, np.uint64)
+    slot_key = np.zeros(size, np.uint64)  # hash table: key + 1, or 0 where it is empty
     slot_cell = np.empty(size, np.int32)
     count = _number(position, origin, 1.0 / side, cell, key, slot_key, slot_cell)
+    order = np.argsort(key[:count])  # keys differ: any sort gives the same
+    rank = np.empty(count, np.int32)
+    rank[order] = np.arange(count, dtype=np.int32)
+    cell = rank[cell]
     start = np.zeros(count + 1, np.int32)
     member = np.empty(n, np.int32)
     _group(cell, start, member)
-    return Cells(cell, start, member, key[:count].copy(), slot_key, slot_cell, origin, float(side))
+    return Cells(cell, start, member, key[order], origin, float(side))
 
 
 @device
 def _slot(key, mask):
     """Where the search for a key begins: cells of one 2x2x2 block lie side by side, blocks anywhere."""
     one = np.uint64(1)
-    block = key & ~(one | (one << np.uint64(_BITS)) | (one << np.uint64(2 * _BITS)))
+    block = key & ~(one | (one << np.uint64(BITS)) | (one << np.uint64(2 * BITS)))
     within = (
         (key & one)
-        | ((key >> np.uint64(_BITS - 1)) & np.uint64(2))
-        | ((key >> np.uint64(2 * _BITS - 2)) & np.uint64(4))
+        | ((key >> np.uint64(BITS - 1)) & np.uint64(2))
+        | ((key >> np.uint64(2 * BITS - 2)) & np.uint64(4))
     )
     h = block * np.uint64(0x9E3779B97F4A7C15)
     h ^= h >> np.uint64(32)
@@ -84,7 +86,7 @@ def _number(position, origin, inverse, cell, key, slot_key, slot_cell):
         x = np.uint64(np.int64((position[c, 0] - origin[0]) * inverse))
         y = np.uint64(np.int64((position[c, 1] - origin[1]) * inverse))
         z = np.uint64(np.int64((position[c, 2] - origin[2]) * inverse))
-        k = (((z << np.uint64(_BITS)) | y) << np.uint64(_BITS)) | x
+        k = (((z << np.uint64(BITS)) | y) << np.uint64(BITS)) | x
         if k + one != last:
             slot = _slot(k, mask)
             while slot_key[slot] != 0 and slot_key[slot] != k + one:
@@ -114,32 +116,27 @@ def _group(cell, start, member):
     start[0] = 0
 
 
+def neighbour_ranges(cells: Cells) -> np.ndarray:
+    """(M, 9, 2) int32: the members of a cell and the 26 around it, as ranges of `member`, one per row along x."""
+    ranges = np.empty((len(cells.key), 9, 2), np.int32)
+    _ranges(cells.key, cells.start, ranges)
+    return ranges
+
+
 @_jit
-def find(cells, key):
-    """The cell of a key, or -1 where nothing lies."""
-    mask = np.uint64(len(cells.slot_key) - 1)
+def _ranges(key, start, ranges):
     one = np.uint64(1)
-    slot = _slot(key, mask)
-    while cells.slot_key[slot] != 0:
-        if cells.slot_key[slot] == key + one:
-            return cells.slot_cell[slot]
-        slot = (slot + one) & mask
-    return np.int32(-1)
-
-
-@_jit
-def neighbours(cells, key, out):
-    """Write the occupied cells of the 27 around a key (itself among them) to out (27,) int64; how many there are."""
-    count = 0
-    x = np.int64(key) & np.int64(2**_BITS - 1)
-    y = (np.int64(key) >> np.int64(_BITS)) & np.int64(2**_BITS - 1)
-    z = np.int64(key) >> np.int64(2 * _BITS)
-    for k in range(z - 1, z + 2):
-        for j in range(y - 1, y + 2):
-            for i in range(x - 1, x + 2):
-                other = np.uint64((((k << np.int64(_BITS)) | j) << np.int64(_BITS)) | i)
-                found = find(cells, other)
-                if found >= 0:
-                    out[count] = found
-                    count += 1
-    return count
+    for row in range(9):
+        dy, dz = np.uint64(row % 3), np.uint64(row // 3)
+        first = 0
+        for k in range(len(key)):
+            # the cell at x - 1 in this row; as keys rise, so does it: one sweep over the keys finds all
+            want = key[k] + (((dz << np.uint64(BITS)) + dy) << np.uint64(BITS))
+            want -= (((one << np.uint64(BITS)) + one) << np.uint64(BITS)) + one
+            while first < len(key) and key[first] < want:
+                first += 1
+            last = first
+            while last < len(key) and key[last] <= want + np.uint64(2):
+                last += 1
+            ranges[k, row, 0] = start[first]
+            ranges[k, row, 1] = start[last]

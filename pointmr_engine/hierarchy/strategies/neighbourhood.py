@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pointmr_engine.hierarchy.strategies.cells import neighbours, sort_into_cells
+from pointmr_engine.hierarchy.strategies.cells import neighbour_ranges, sort_into_cells
 from pointmr_engine.hierarchy.strategies.selection import Selection, seed_key, shuffle, uniform, uniforms
 
 _TRIES = 4  # measured: 3 take 1 % more samples, 6 and more no fewer
@@ -37,7 +37,8 @@ def select(
         turn, tries = np.argsort(near @ (direction - 0.5), kind="stable").astype(np.int32), _TRIES
     owner, chosen = np.full(n, -1, np.int32), np.empty(n, np.int32)
     count = _eliminate(
-        cells,
+        neighbour_ranges(cells),
+        cells.cell[cells.member],
         near,
         area[cells.member],
         turn,
@@ -67,16 +68,11 @@ def _squared(position, m, c):
 
 
 @_jit
-def _around(cells, c, around):
-    return neighbours(cells, cells.key[cells.cell[cells.member[c]]], around)
-
-
-@_jit
-def _uncovered_near(cells, position, best, radius2, c, tries, key, around, tried):
+def _uncovered_near(ranges, cell, position, best, radius2, c, tries, key, tried):
     """Write up to `tries` random uncovered candidates within the radius of c to `tried`; how many."""
     n = 0
-    for i in range(_around(cells, c, around)):
-        for m in range(cells.start[around[i]], cells.start[around[i] + 1]):
+    for row in range(9):
+        for m in range(ranges[cell[c], row, 0], ranges[cell[c], row, 1]):
             if best[m] > radius2 and _squared(position, m, c) <= radius2:
                 # a reservoir: every candidate is as likely to be in it
                 j = n if n < tries else int(uniform(key, m) * (n + 1))
@@ -87,23 +83,22 @@ def _uncovered_near(cells, position, best, radius2, c, tries, key, around, tried
 
 
 @_jit
-def _gain(cells, position, area, best, radius2, c, around):
+def _gain(ranges, cell, position, area, best, radius2, c):
     """Area of the uncovered candidates that c would cover."""
     gain = 0.0
-    for i in range(_around(cells, c, around)):
-        for m in range(cells.start[around[i]], cells.start[around[i] + 1]):
+    for row in range(9):
+        for m in range(ranges[cell[c], row, 0], ranges[cell[c], row, 1]):
             if best[m] > radius2 and _squared(position, m, c) <= radius2:
                 gain += area[m]
     return gain
 
 
 @_jit
-def _eliminate(cells, position, area, turn, radius2, tries, key, best, owner, chosen):
+def _eliminate(ranges, cell, position, area, turn, radius2, tries, key, best, owner, chosen):
     """Write the samples to chosen, and to owner the nearest; how many. best (C,): squared distance to it, at first inf.
 
     All arrays are in the order of the cells; turn: the order in which the candidates are looked at.
     """
-    around = np.empty(27, np.int64)
     tried = np.empty(tries, np.int64)
     count = 0
     for k in range(len(turn)):
@@ -111,13 +106,15 @@ def _eliminate(cells, position, area, turn, radius2, tries, key, best, owner, ch
         if best[c] <= radius2:
             continue
         if tries > 1:
-            most = -1.0
-            for j in range(_uncovered_near(cells, position, best, radius2, c, tries, key, around, tried)):
-                gain = _gain(cells, position, area, best, radius2, tried[j], around)
-                if gain > most:
-                    c, most = tried[j], gain
-        for i in range(_around(cells, c, around)):
-            for m in range(cells.start[around[i]], cells.start[around[i] + 1]):
+            found = _uncovered_near(ranges, cell, position, best, radius2, c, tries, key, tried)
+            if found > 1:
+                most = -1.0
+                for j in range(found):
+                    gain = _gain(ranges, cell, position, area, best, radius2, tried[j])
+                    if gain > most:
+                        c, most = tried[j], gain
+        for row in range(9):
+            for m in range(ranges[cell[c], row, 0], ranges[cell[c], row, 1]):
                 d2 = _squared(position, m, c)
                 if d2 < best[m]:
                     best[m] = d2

@@ -7,10 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from pointmr_engine.hierarchy.strategies.cells import Cells, sort_into_cells
+from pointmr_engine.hierarchy.strategies.cells import BITS, Cells, sort_into_cells
 from pointmr_engine.hierarchy.strategies.selection import Selection, seed_key, uniforms
-
-_BITS = 21
 
 
 def select(position: np.ndarray, area: np.ndarray, spacing: float, seed: int) -> Selection:
@@ -25,8 +23,8 @@ def select(position: np.ndarray, area: np.ndarray, spacing: float, seed: int) ->
 
 
 def _centres(cells: Cells) -> np.ndarray:
-    mask = np.uint64(2**_BITS - 1)
-    index = np.stack([(cells.key >> np.uint64(_BITS * k)) & mask for k in range(3)], axis=1)
+    mask = np.uint64(2**BITS - 1)
+    index = np.stack([(cells.key >> np.uint64(BITS * k)) & mask for k in range(3)], axis=1)
     return (cells.origin + (index.astype(np.float64) + 0.5) * cells.side).astype(np.float32)
 
 
