@@ -14,7 +14,10 @@ from pointmr_engine.numerics.pointers import load_f32, load_i32
 
 REACH = 2.2  # an ellipse's radii in standard deviations of its piece: 2, where a disk has its edge, and a tenth to close gaps
 SOLID = 1.25  # times a piece's projected area over its ellipse's: from 1 on it is drawn without gaps
-FLAT, ROUND = 0.95, 0.5  # lengths of a mean normal from and below which a piece counts as flat and as all directions
+FLAT, ROUND = (
+    0.95,
+    0.5,
+)  # lengths of a mean normal from and below which a piece counts as flat and as all directions
 
 
 class Entries(NamedTuple):
@@ -143,7 +146,13 @@ def draw_triangle(view, target, width, height, left, low, corners, entry):
         x1, y1, w1 = to_target(view, corners[1, 0], corners[1, 1], corners[1, 2])
         x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
         return cover_triangle(
-            target, width, height, (x0 - left, x1 - left, x2 - left), (y0 - low, y1 - low, y2 - low), (w0, w1, w2), entry
+            target,
+            width,
+            height,
+            (x0 - left, x1 - left, x2 - left),
+            (y0 - low, y1 - low, y2 - low),
+            (w0, w1, w2),
+            entry,
         )
     written = False
     # a fan from the first point of the clipped polygon, which has three or four

@@ -186,7 +186,9 @@ def _nearest(view, low):
 
 
 @device
-def _add(view, hierarchy, heap, size, transforms, node, row, pad, box, bounds, left, low, width, height, counters):
+def _add(
+    view, hierarchy, heap, size, transforms, node, row, pad, box, bounds, left, low, width, height, counters
+):
     """Put a node on the heap if it can be seen; returns the heap's size, -1 when it is full."""
     box_to_camera(transforms.matrix, row, hierarchy.octree.box, node, box)
     counters[0] += 1
@@ -233,7 +235,14 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
             if view.perspective:
                 if near - apart > view.near:
                     hidden = is_hidden(
-                        target, width, height, bounds[0], bounds[1], bounds[2], bounds[3], 1.0 / (near - apart)
+                        target,
+                        width,
+                        height,
+                        bounds[0],
+                        bounds[1],
+                        bounds[2],
+                        bounds[3],
+                        1.0 / (near - apart),
                     )
             else:
                 w = view.depth_shift - (near - apart) * view.depth_scale
@@ -286,7 +295,16 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 continue
             if count >= len(entries.surfel):
                 return ENTRIES_FULL
-            _to_camera(transforms.matrix, row, octree, hierarchy.parts, part, which, np.int64(transforms.group[row]), corners)
+            _to_camera(
+                transforms.matrix,
+                row,
+                octree,
+                hierarchy.parts,
+                part,
+                which,
+                np.int64(transforms.group[row]),
+                corners,
+            )
             counters[5] += 1
             if draw_triangle(view, target, width, height, left, low, corners, count):
                 entries.surfel[count] = -1 - np.int64(i)

@@ -1,0 +1,122 @@
+"""What a sample keeps of its material: the part that the surface alone decides, reduced to colour, emission and alpha."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.sample_sets import Look
+from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.pointers import load_f32, load_i32
+from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.shading import leaves as kinds
+from pointmr_engine.shading.leaves import COLUMNS, Leaf
+from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.program import Program
+
+_SILENT = (kinds.TRANSPARENT, kinds.EMISSION, kinds.BACKGROUND, kinds.HOLDOUT)
+
+
+class Baker:
+    """Materials at surface points in their mesh's space; see hierarchy.sample_sets.Looks. Threads may share it."""
+
+    def __init__(self, geometry: Geometry, programs: list[Program]):
+        self.geometry, self.programs = geometry, programs
+        self._constant: dict[int, tuple] = {}
+
+    def __call__(self, part, triangle, u, v, width) -> Look:
+        """Looks of points (n,) of triangles in their shapes, averaged over `width` (n,) metres where images are."""
+        geometry = self.geometry
+        n = len(part)
+        look = Look(
+            np.empty((n, 3), np.float32),
+            np.zeros((n, 3), np.float32),
+            np.zeros((n, 3), np.float32),
+            np.ones(n, np.float32),
+        )
+        part, triangle = np.ascontiguousarray(part, np.int32), np.ascontiguousarray(triangle, np.int32)
+        u, v = np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)
+        material = np.empty(n, np.int32)
+        _normals_and_materials(geometry.tables, part, triangle, u, v, look.normal, material)
+        for m in np.unique(material):
+            program = self.programs[m]
+            rows = slice(None) if len(self.programs) == 1 else np.flatnonzero(material == m)
+            if not program.needs:
+                if m not in self._constant:
+                    self._constant[m] = reduce_leaves(program.evaluate(SurfacePoints(count=1)), 1)
+                albedo, emission, alpha = self._constant[m]
+            else:
+                chosen = np.arange(n) if isinstance(rows, slice) else rows
+                points = points_at(
+                    geometry, part[chosen], triangle[chosen] + geometry.tables.first_triangle[part[chosen]],
+                    u[chosen], v[chosen], np.broadcast_to(np.eye(4)[:3], (len(chosen), 3, 4)), program.needs,
+                )  # fmt: skip
+                if points.footprint is not None:
+                    points.footprint = np.ascontiguousarray(width[chosen], np.float32)
+                albedo, emission, alpha = reduce_leaves(program.evaluate(points), len(chosen))
+            look.albedo[rows], look.emission[rows], look.alpha[rows] = albedo, emission, alpha
+        return look
+
+
+def reduce_leaves(leaves: list[Leaf], count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(albedo (n, 3), emission (n, 3), alpha (n,)) float32 of a program's leaves."""
+    albedo, emission = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
+    clear = np.zeros(count, np.float32)
+    for leaf in leaves:
+        weight = leaf.block[:, :3]
+        if leaf.kind == kinds.PRINCIPLED:
+            column = COLUMNS[kinds.PRINCIPLED].index
+            base, glow = column("base_color_r"), column("emission_r")
+            alpha = leaf.block[:, column("alpha"), None]
+            albedo += weight * alpha * leaf.block[:, base : base + 3]
+            emission += weight * alpha * leaf.block[:, glow : glow + 3]
+            clear += (weight * (1.0 - alpha)).mean(1)
+        elif leaf.kind == kinds.TRANSPARENT:
+            clear += weight.mean(1)
+        elif leaf.kind in (kinds.EMISSION, kinds.BACKGROUND):
+            emission += weight
+        elif leaf.kind == kinds.METALLIC:
+            base = COLUMNS[kinds.METALLIC].index("base_color_r")
+            albedo += weight * leaf.block[:, base : base + 3]
+        elif leaf.kind != kinds.HOLDOUT:
+            albedo += weight
+    alpha = np.clip(1.0 - np.nan_to_num(clear), 0.0, 1.0)
+    back = (1.0 / np.maximum(alpha, 1e-6))[:, None]
+    albedo, emission = np.nan_to_num(albedo), np.nan_to_num(emission)
+    return np.clip(albedo * back, 0.0, 1.0), np.maximum(emission * back, 0.0), alpha
+
+
+@uncounted
+def _normals_and_materials(tables, part, triangle, u, v, normal, material):
+    for k in range(len(part)):
+        p, t = np.int64(part[k]), np.int64(triangle[k])
+        slot = np.int64(0)
+        if tables.material_index[p] != 0:
+            slot = load_i32(tables.material_index[p], t)
+            slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
+        material[k] = tables.slot_material[tables.first_slot[p] + slot]
+        at = tables.triangles[p]
+        i, j, q = load_i32(at, 3 * t), load_i32(at, 3 * t + 1), load_i32(at, 3 * t + 2)
+        x = y = z = 0.0
+        if tables.normals[p] != 0:
+            if tables.normals_per_corner[p]:
+                i, j, q = 3 * t, 3 * t + 1, 3 * t + 2
+            w = 1.0 - u[k] - v[k]
+            at = tables.normals[p]
+            x = w * load_f32(at, 3 * i) + u[k] * load_f32(at, 3 * j) + v[k] * load_f32(at, 3 * q)
+            y = w * load_f32(at, 3 * i + 1) + u[k] * load_f32(at, 3 * j + 1) + v[k] * load_f32(at, 3 * q + 1)
+            z = w * load_f32(at, 3 * i + 2) + u[k] * load_f32(at, 3 * j + 2) + v[k] * load_f32(at, 3 * q + 2)
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            at = tables.triangles[p]
+            i, j, q = load_i32(at, 3 * t), load_i32(at, 3 * t + 1), load_i32(at, 3 * t + 2)
+            at = tables.positions[p]
+            ax = np.float64(load_f32(at, 3 * j)) - load_f32(at, 3 * i)
+            ay = np.float64(load_f32(at, 3 * j + 1)) - load_f32(at, 3 * i + 1)
+            az = np.float64(load_f32(at, 3 * j + 2)) - load_f32(at, 3 * i + 2)
+            bx = np.float64(load_f32(at, 3 * q)) - load_f32(at, 3 * i)
+            by = np.float64(load_f32(at, 3 * q + 1)) - load_f32(at, 3 * i + 1)
+            bz = np.float64(load_f32(at, 3 * q + 2)) - load_f32(at, 3 * i + 2)
+            x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length = np.sqrt(x * x + y * y + z * z)
+        scale = 1.0 / length if length > 0.0 else 0.0
+        normal[k, 0], normal[k, 1], normal[k, 2] = x * scale, y * scale, z * scale
