@@ -12,3 +12,14 @@ uncounted = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 device = njit(
     cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
 )
+
+# The same, merged into its callers by LLVM, so that a loop over them can become vector code. Only for straight code.
+merged = njit(
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+    forceinline=True,
+    _nrt=False,
+)

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 from pointmr_engine.numerics.transforms import cofactors
 from pointmr_engine.raytracing.rays import Hits, Rays
@@ -185,6 +186,22 @@ def world_edges(tables, samples, out):
             z = np.float64(positions[b + 2]) - positions[a + 2]
             for r in range(3):
                 out[n, k, r] = m[r, 0] * x + m[r, 1] * y + m[r, 2] * z
+
+
+@uncounted
+def move_weights(edges, offset, u, v, out_u, out_v):
+    """Barycentric weights u, v (n,) of points moved by world offsets (n, 3) in triangles of world edges (n, 2, 3)."""
+    for n in range(len(u)):
+        aa, ab, bb, x, y = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(3):
+            a, b = edges[n, 0, k], edges[n, 1, k]
+            aa, ab, bb = aa + a * a, ab + a * b, bb + b * b
+            x, y = x + a * offset[n, k], y + b * offset[n, k]
+        det = aa * bb - ab * ab
+        if not det > 0.0:
+            det = np.inf
+        out_u[n] = u[n] + (bb * x - ab * y) / det
+        out_v[n] = v[n] + (aa * y - ab * x) / det
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

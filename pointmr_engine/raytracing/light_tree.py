@@ -33,7 +33,8 @@ EDGE, STEEP, LAMBERT, GRID = range(16, 20)
 COLUMNS = 20
 
 _FEW = 32  # lights that are all weighed at every point
-_TOPS = 16  # clusters weighed at the top of a tree
+_TOPS = 16  # nodes weighed at the top of a tree
+_FAINT = 1 / 64  # share of the energy below which a cluster is not worth opening there: its descent will do
 _CLOSED = 0.05  # importance of the inside of closed meshes
 
 
@@ -81,7 +82,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap) -> Light
             [of_light, np.full(len(far_item), -1), np.where(above < 0, -1, above + lights)]
         )
         child = np.where(child < 0, -1, child + lights)
-        tops = [k + lights for k in _top_clusters(child - lights, clusters)]
+        tops = _top_nodes(child, span, clusters, lights)
     else:
         clusters, span, child = np.zeros((0, COLUMNS)), np.zeros((0, 2), np.int32), np.zeros(0, np.int32)
         parent = np.full(lights, -1)
@@ -181,17 +182,24 @@ def _emitter_values(emitters: Emitters) -> np.ndarray:
     return out
 
 
-def _top_clusters(first_child: np.ndarray, clusters: np.ndarray) -> list[int]:
-    """Clusters that cover the tree, those opened that are large and bright."""
-    tops = [0]
-    while len(tops) < _TOPS:
-        weight = [clusters[k, ENERGY] * clusters[k, RADIUS] if first_child[k] >= 0 else -1.0 for k in tops]
-        best = int(np.argmax(weight))
-        if weight[best] < 0.0:
-            break
-        child = int(first_child[tops.pop(best)])
-        tops += [child, child + 1]
-    return tops
+def _top_nodes(first_child: np.ndarray, span: np.ndarray, clusters: np.ndarray, lights: int) -> list[int]:
+    """Nodes that cover the tree, the first `lights` of them lights: the large and bright clusters are opened."""
+    tops, size = [lights], clusters[:, ENERGY] * clusters[:, RADIUS]
+    faint = _FAINT * clusters[0, ENERGY]
+    while True:
+        best, most = -1, -1.0
+        for k in tops:
+            if k < lights or not clusters[k - lights, ENERGY] >= faint or size[k - lights] <= most:
+                continue
+            first, last = span[k - lights]
+            parts = 2 if first_child[k - lights] >= 0 else last - first
+            if len(tops) - 1 + parts <= _TOPS:
+                best, most = k, size[k - lights]
+        if best < 0:
+            return tops
+        tops.remove(best)
+        child = int(first_child[best - lights])
+        tops += [child, child + 1] if child >= 0 else range(*(int(x) for x in span[best - lights]))
 
 
 @uncounted

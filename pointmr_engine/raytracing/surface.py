@@ -16,6 +16,7 @@ from pointmr_engine.raytracing.frames import (
     frames,
     frames_of,
     local_points,
+    move_weights,
     samples_of,
     tangents_to_world,
     world_edges,
@@ -122,6 +123,8 @@ _RAY_FIELDS = {
     "window": "window",
 }
 _OTHER_FIELDS = {"ray_length", "camera_from_world", "object_index", "object_color", "object_random"}
+# what only frames know, of "NAME" and "KIND:NAME"
+_FRAME_NEEDS = {"position", "normal", "smooth_normal", "geometric_normal", "backfacing", "uv_footprint"}
 _LAYERS = ("uv", "uv_footprint", "tangent", "attribute", "instance_attribute")
 
 
@@ -185,12 +188,15 @@ def _fill_surface(
     geometry: Geometry,
     points: SurfacePoints,
     samples: Samples,
-    own: Frames,
+    own: Frames | None,
     needs: frozenset[str],
     direction: np.ndarray,
     width: np.ndarray | None,
 ) -> None:
-    """Everything that place, triangle, view direction (n, 3) and footprint width (n,) decide."""
+    """Everything that place, triangle, view direction (n, 3) and footprint width (n,) decide.
+
+    own: the frames; may be None where none of _FRAME_NEEDS is asked for.
+    """
     n, tables = len(samples.part), geometry.tables
     if "local" in needs or "generated" in needs:
         local = np.empty((n if "local" in needs else 0, 3), np.float32)
@@ -225,7 +231,7 @@ def _fill_surface(
         elif need == "object_location":
             points.object_location = samples.world_from_part[:, :, 3].astype(np.float32)
         elif need == "moved":
-            points.moved = _mover(geometry, points, samples, own, needs, direction, width)
+            points.moved = _mover(geometry, points, samples, needs, direction, width)
         elif kind == "uv":
             points.uvs[name] = _layer_values(geometry, "uv", name, samples, 2)
         elif kind == "attribute":
@@ -270,24 +276,21 @@ def _uv_footprint(geometry, name, samples, own, direction, width) -> np.ndarray:
     return (width * np.sqrt(density / cosine)).astype(np.float32)
 
 
-def _mover(geometry, points, samples, own, needs, direction, width):
+def _mover(geometry, points, samples, every, direction, width):
     """SurfacePoints.moved: the same triangles' planes at other barycentric weights."""
+    edges = []
 
-    def moved(offset: np.ndarray) -> SurfacePoints:
-        edges = np.empty((len(samples.part), 2, 3))
-        world_edges(geometry.tables, samples, edges)
-        a, b = edges[:, 0], edges[:, 1]
-        offset = np.asarray(offset, np.float64)
-        aa, ab, bb = (a * a).sum(1), (a * b).sum(1), (b * b).sum(1)
-        x, y = (a * offset).sum(1), (b * offset).sum(1)
-        det = aa * bb - ab * ab
-        det = np.where(det > 0, det, np.inf)
-        there = samples._replace(
-            u=samples.u + (bb * x - ab * y) / det,
-            v=samples.v + (aa * y - ab * x) / det,
-        )
-        frames_there = allocate_frames(len(there.part))
-        frames_of(geometry.tables, there, direction, frames_there)
+    def moved(offset: np.ndarray, needs: frozenset[str] | None = None) -> SurfacePoints:
+        n, needs = len(samples.part), every if needs is None else needs
+        if not edges:
+            edges.append(np.empty((n, 2, 3)))
+            world_edges(geometry.tables, samples, edges[0])
+        u, v = np.empty(n), np.empty(n)
+        move_weights(edges[0], np.ascontiguousarray(offset, np.float64), samples.u, samples.v, u, v)
+        there, frames_there = samples._replace(u=u, v=v), None
+        if any(need.partition(":")[0] in _FRAME_NEEDS for need in needs):
+            frames_there = allocate_frames(n)
+            frames_of(geometry.tables, there, direction, frames_there)
         result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
         _fill_surface(geometry, result, there, frames_there, needs, direction, width)
         return result

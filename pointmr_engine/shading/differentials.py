@@ -22,13 +22,23 @@ def tangent_axes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return a, cross(normal, a)
 
 
-def moved_points(points: SurfacePoints, offset: np.ndarray) -> SurfacePoints:
+def axes_at(points: SurfacePoints) -> tuple[np.ndarray, np.ndarray]:
+    """`tangent_axes` of the points' geometric normals, found once."""
+    if points.axes is None:
+        points.axes = tangent_axes(points.geometric_normal)
+    return points.axes
+
+
+def moved_points(
+    points: SurfacePoints, offset: np.ndarray, needs: frozenset[str] | None = None
+) -> SurfacePoints:
     """The points moved by world offsets (N, 3) in their surfaces' planes; exact where `points.moved` is given.
 
-    Without it positions move, UVs follow the layer's tangent and footprint where both are known, the rest stays.
+    needs: the only fields that are read there. Without `points.moved` positions move, UVs follow the layer's tangent
+    and footprint where both are known, the rest stays.
     """
     if points.moved is not None:
-        return points.moved(offset)
+        return points.moved(offset, needs)
     changes: dict = {}
     if points.position is not None:
         changes["position"] = points.position + offset

@@ -41,9 +41,10 @@ class SurfacePoints:
     object_index: np.ndarray | None = None  # (N,) int32
     object_random: np.ndarray | None = None  # (N,) float32
     material_index: int = 0
-    # moved(offset (N, 3) float32, world): the points there, in the plane of each one's triangle, same fields filled;
-    # bump mapping differences its height through it (needs: "moved")
-    moved: Callable[[np.ndarray], SurfacePoints] | None = None
+    # moved(offset (N, 3) float32, world, needs): the points there, in the plane of each one's triangle, with the fields
+    # that `needs` names (None: the same) filled; bump mapping differences its height through it (needs: "moved")
+    moved: Callable[[np.ndarray, frozenset[str] | None], SurfacePoints] | None = None
+    axes: tuple[np.ndarray, np.ndarray] | None = None  # kept by differentials.axes_at
     # the ray that came here
     ray_kind: np.ndarray | None = None  # (N,) uint8: bits RAY_* below
     ray_length: np.ndarray | None = None  # (N,) float32

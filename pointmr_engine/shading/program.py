@@ -12,7 +12,7 @@ import numpy as np
 
 from pointmr_engine.scene.graph import Graph
 from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
-from pointmr_engine.shading.differentials import moved_points, tangent_axes
+from pointmr_engine.shading.differentials import axes_at, moved_points
 from pointmr_engine.shading.leaves import COLUMNS, Leaf
 from pointmr_engine.shading.nodes.registry import Call
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
@@ -66,6 +66,7 @@ class Plan:
                     needs |= sub.needs
         self.steps = [(i, steps[i], frozenset(wanted[i])) for i in sorted(wanted)]
         self.needs = frozenset(needs)
+        self._needs_moved = frozenset().union(*(sub.needs for sub in self.sub.values()))
 
     def run(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
         """Values of all wanted outputs, each node evaluated once."""
@@ -86,8 +87,8 @@ class Plan:
             if (index, name) not in self.sub:
                 return read(source, {})
             if (axis, width) not in displaced:
-                direction = tangent_axes(points.geometric_normal)[axis]
-                displaced[axis, width] = moved_points(points, direction * (points.footprint * width)[:, None])
+                offset = axes_at(points)[axis] * (points.footprint * width)[:, None]
+                displaced[axis, width] = moved_points(points, offset, self._needs_moved)
             return read(source, self.sub[index, name].run(displaced[axis, width]))
 
         return moved
@@ -163,7 +164,9 @@ def _sum(terms: list[Source], memo: dict[tuple[int, str], np.ndarray], count: in
     for term in terms:
         value = read(term, memo)
         total += value if value.ndim == 2 else value[:, None]
-    return np.nan_to_num(total, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    if not np.isfinite(total.sum()):
+        np.nan_to_num(total, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return total
 
 
 def _fill(leaf: LeafPlan, memo: dict[tuple[int, str], np.ndarray]) -> Leaf:
@@ -174,7 +177,8 @@ def _fill(leaf: LeafPlan, memo: dict[tuple[int, str], np.ndarray]) -> Leaf:
         block = np.repeat(block, max(len(v) for _, _, v in columns), axis=0)
         for first, width, value in columns:
             block[:, first : first + width] = value if value.ndim == 2 else value[:, None]
-        np.nan_to_num(block, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        if not np.isfinite(block.sum()):
+            np.nan_to_num(block, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return Leaf(leaf.kind, block, distribution=leaf.distribution, **normals)
 
 

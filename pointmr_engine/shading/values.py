@@ -58,7 +58,9 @@ def stack(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def luminance(color: np.ndarray) -> np.ndarray:
     """(n,) relative luminance of Rec.709 colours."""
-    return color @ LUMINANCE
+    return dot(
+        color, LUMINANCE[None]
+    )  # a matrix product would wake the threads of the linear algebra library
 
 
 def transform_point(m: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -529,6 +529,16 @@ def test_probabilities_of_all_lights_sum_to_one(n):
                 assert node < 0 or lookup[node] == pytest.approx(probability, rel=1e-9)
 
 
+def test_bright_lamps_are_weighed_beside_a_cluster_of_faint_ones():
+    mesh = quad(radiance=1e-6)
+    lamps = [Light("AREA", placed((float(x), 0.0, 2.0)), power=40.0) for x in range(6)]
+    lamps += [Light("POINT", placed((0.01 * k, 5.0, 0.0)), power=1e-3, radius=0.01) for k in range(100)]
+    tree = lights_of(lamps, meshes=[mesh]).arrays.tree
+    assert (tree.top[tree.leaf_of_lamp[:6]] >= 0).all()
+    assert (tree.top[tree.leaf_of_lamp[6:]] < 0).all() and (tree.top[tree.leaf_of_emitter] < 0).all()
+    assert len(tree.tops) < 10  # nothing that is faint is opened
+
+
 def test_tree_is_unbiased():
     lights = many_lights(200)
     p, normal = np.array([0.2, 0.1, -0.5]), np.array([0.0, 0.6, 0.8])

@@ -195,3 +195,25 @@ def test_ies_profiles():
     assert down == pytest.approx(2 * level, rel=0.01)
     with pytest.raises(ValueError, match="TILT"):
         parse_ies("not a profile")
+
+
+@pytest.mark.parametrize("size", [3.0, 1e6])  # the second beyond where coordinates repeat
+def test_solid_noise_is_the_same_in_blocks(size):
+    from pointmr_engine.shading.kernels.noise import noise_texture, solid_texture
+    from pointmr_engine.shading.nodes.noise import _seed_offsets
+
+    points = (np.random.default_rng(2).normal(size=(37, 4)) * size).astype(np.float32)
+    points[3] = -2.0
+    points[4, 1] = np.nan
+    for detail, distortion, normalize in (
+        (0.0, 0.0, True),
+        (2.0, 0.7, False),
+        (3.4, 0.0, True),
+        (1.2, 0.3, False),
+    ):
+        row = np.array([detail, 0.6, 2.3, 0, 1, distortion], np.float32)
+        one, blocks = np.empty((2, 37, 3), np.float32)
+        noise_texture(points, row[None], _seed_offsets(3), 3, 0, normalize, 3, one)
+        solid_texture(points, row, _seed_offsets(3), normalize, 3, np.empty((11, 16)), blocks)
+        np.testing.assert_array_equal(one, blocks)
+        assert np.isfinite(np.delete(one, 4, 0)).all()

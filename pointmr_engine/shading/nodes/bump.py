@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.shading.differentials import tangent_axes
+from pointmr_engine.shading.differentials import axes_at
 from pointmr_engine.shading.nodes.registry import FLOAT, VECTOR, Call, From, node
 from pointmr_engine.shading.values import cross, dot, normalize
 
@@ -29,7 +29,7 @@ def _bump(c: Call) -> np.ndarray:
     # one width for the batch: it is a constant of the node in practice, and the moved points are shared by it
     width = float(max(np.max(c["filter_width"]), 1e-4))
     size = c.points.footprint[:, None]
-    dx, dy = (axis * size for axis in tangent_axes(c.points.geometric_normal))
+    dx, dy = (axis * size for axis in axes_at(c.points))
     center = c["height"]
     slope_x = (c.moved("height", 0, width) - center)[:, None]
     slope_y = (c.moved("height", 1, width) - center)[:, None]

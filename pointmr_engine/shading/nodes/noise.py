@@ -11,6 +11,7 @@ from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, Fr
 _GENERATED = (VECTOR, From("generated"))
 NOISE_TYPES = ("FBM", "MULTIFRACTAL", "HYBRID_MULTIFRACTAL", "RIDGED_MULTIFRACTAL", "HETERO_TERRAIN")
 FEATURES = ("F1", "F2", "SMOOTH_F1", "DISTANCE_TO_EDGE", "N_SPHERE_RADIUS")
+BLOCK = 256  # points of a solid texture that are worked on at once: what the first-level cache holds
 METRICS = ("EUCLIDEAN", "MANHATTAN", "CHEBYCHEV", "MINKOWSKI")
 
 
@@ -95,7 +96,7 @@ def _complete(c: Call) -> Call:
 )
 def _noise(c: Call) -> dict[str, np.ndarray]:
     """params: dimensions "1D" to "4D", type (NOISE_TYPES), normalize."""
-    from pointmr_engine.shading.kernels.noise import noise_texture
+    from pointmr_engine.shading.kernels.noise import noise_texture, solid_texture
 
     c = _complete(c)
     points = coordinates(c, c["scale"])
@@ -111,16 +112,13 @@ def _noise(c: Call) -> dict[str, np.ndarray]:
         points = np.repeat(points, len(parameters), axis=0)
     d = dimensions_of(c.params)
     out = np.empty((len(points), 3), np.float32)
-    noise_texture(
-        points,
-        parameters,
-        _seed_offsets(d),
-        d,
-        NOISE_TYPES.index(c.params.get("type", "FBM")),
-        bool(c.params.get("normalize", True)),
-        3 if "color" in c.wanted else 1,
-        out,
-    )
+    kind = NOISE_TYPES.index(c.params.get("type", "FBM"))
+    normalize, channels = bool(c.params.get("normalize", True)), 3 if "color" in c.wanted else 1
+    if d == 3 and kind == 0 and len(parameters) == 1:
+        scratch = np.empty((11, BLOCK))
+        solid_texture(points, parameters[0], _seed_offsets(d), normalize, channels, scratch, out)
+    else:
+        noise_texture(points, parameters, _seed_offsets(d), d, kind, normalize, channels, out)
     return {"fac": out[:, 0], "color": out}
 
 
