@@ -52,9 +52,11 @@ class ForwardPace:
         self._seconds = math.inf  # for one of full pixels
         self._scene = None
 
-    def steps(self, scene, total: int, pixel_size: int) -> Schedule:
-        """A first picture of few samples, of full pixels if these were quick before; a better one; then passes of equal
-        density, `total` samples per pixel together.
+    def steps(self, scene, forward, total: int, pixel_size: int) -> Schedule:
+        """A first picture of few samples, of full pixels if these were quick before; a better one; then the best.
+
+        forward: the engine's ForwardSettings. Dynamic samples are others in each pass: their mean over `total` samples
+        per pixel is the best picture. Static ones are the same for all seeds: one pass, as dense as the final image.
         """
         known, coarse = scene is self._scene, max(COARSEST, pixel_size)
         scale = pixel_size
@@ -68,9 +70,13 @@ class ForwardPace:
         if total > FORWARD_SECOND:
             seconds = yield Step(pixel_size, FORWARD_SECOND, False)
             self._seconds = min(self._seconds, seconds)
-        passes = math.ceil(total / FORWARD_FINEST)
+        if forward.sampling == "static":
+            passes, samples = 1, min(total, max(forward.samples_per_pixel, FORWARD_FINEST))
+        else:
+            passes = math.ceil(total / FORWARD_FINEST)
+            samples = total / passes
         for _ in range(passes):
-            yield Step(pixel_size, total / passes, True)
+            yield Step(pixel_size, samples, True)
 
     def _learn(self, seconds: float, scale: int, pixel_size: int) -> None:
         if scale == pixel_size:

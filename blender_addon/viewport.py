@@ -186,7 +186,7 @@ class Refiner:
 
         lens, total = scene.camera, settings.samples
         if settings.method == "forward":
-            steps = self._pace.steps(scene, total, pixel_size)
+            steps = self._pace.steps(scene, settings.forward, total, pixel_size)
         else:
             steps = ray_steps(total, pixel_size)
         average, done, number = None, 0.0, 0
@@ -207,12 +207,12 @@ class Refiner:
                 done += step.samples
                 number += 1
                 pixels = average
-                self.text = f"Sample {done:.0f}/{total}" if round(done) < total else ""
             self._show(generation, pixels, step.scale, done)
             try:
                 step = steps.send(seconds)
+                self.text = f"Sample {done:.0f}/{total}" if done else "Refining"
             except StopIteration:
-                step = None
+                step, self.text = None, ""
 
     def _outdated(self, generation, scene, text) -> bool:
         """Whether to end a pass. What prepares the scene goes on when only the view changed, for it is kept."""

@@ -21,7 +21,7 @@ from pointmr_engine.scene.camera import Camera
 from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.group import Group
 from pointmr_engine.scene.scene import Scene
-from pointmr_engine.scene.settings import RenderSettings
+from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 WIDTH, HEIGHT = 64, 48
 
@@ -297,7 +297,8 @@ def test_viewport_refines_forward_mapping(fake_render):
     """Few samples first, one a pixel next, then passes of equal density, whose mean alone stays."""
     refiner = Refiner()
     scene = Scene(Group("root"), Camera())
-    settings = RenderSettings(method="forward", samples=10, passes=("combined",))
+    dynamic = ForwardSettings(sampling="dynamic")
+    settings = RenderSettings(method="forward", forward=dynamic, samples=10, passes=("combined",))
     refiner.start(scene, settings, VIEW)
     wait_for(lambda: refiner.picture is not None and refiner.picture.samples > 9.9)
     calls = [(c.width, c.height, c.forward.samples_per_pixel) for c in fake_render.calls]
@@ -307,6 +308,7 @@ def test_viewport_refines_forward_mapping(fake_render):
     assert len({c.seed for c in fake_render.calls[2:]}) == 3
     assert refiner.picture.pixels[0, 0, 0] == pytest.approx((3 + 4 + 5) / 3)
     assert settings.forward.samples_per_pixel == 1.0
+    wait_for(lambda: refiner.text == "")
     # The scene is known, its pictures were quick: another view's first one has full pixels.
     refiner.start(scene, settings, VIEW._replace(width=100))
     wait_for(lambda: len(fake_render.calls) > 5)
@@ -314,9 +316,26 @@ def test_viewport_refines_forward_mapping(fake_render):
     refiner.close()
 
 
+def test_viewport_does_not_average_what_does_not_change(fake_render):
+    """Static samples are the same for all seeds: one pass, as dense as the final image."""
+    for final, samples, expected in (
+        (1.0, 32, [0.25, 1, 4]),
+        (16.0, 32, [0.25, 1, 16]),
+        (16.0, 2, [0.25, 1, 2]),
+    ):
+        fake_render.calls.clear()
+        refiner = Refiner()
+        forward = ForwardSettings(samples_per_pixel=final)
+        settings = RenderSettings(method="forward", forward=forward, samples=samples)
+        refiner.start(Scene(Group("root"), Camera()), settings, VIEW)
+        wait_for(lambda r=refiner: r.picture is not None and r.text == "")
+        refiner.close()
+        assert [c.forward.samples_per_pixel for c in fake_render.calls] == expected
+
+
 def test_forward_mappings_first_picture_is_as_fine_as_it_was_quick():
     def first(pace, scene, *seconds, pixel_size=1):
-        steps = pace.steps(scene, 1, pixel_size)
+        steps = pace.steps(scene, ForwardSettings(), 1, pixel_size)
         step = next(steps)
         for s in seconds:
             steps.send(s)
