@@ -38,8 +38,9 @@ class Compiled(NamedTuple):
 
     geometry: object
     programs: list
-    acceleration: object
-    lights: object
+    acceleration: object  # None where no rays are walked
+    lights: object  # likewise
+    sampler: object  # forward.method.Sampler, None where nothing is splatted
     warnings: list[str]
 
 
@@ -53,14 +54,14 @@ class Cache:
         self._parts: tuple = ()
         self._compiled: Compiled | None = None
 
-    def find(self, scene: Scene, filtered: bool) -> Compiled | None:
+    def find(self, scene: Scene, kind: tuple) -> Compiled | None:
         """What was kept of this scene, or None."""
-        parts = (filtered, *_parts(scene))
+        parts = (*kind, *_parts(scene))
         same = len(parts) == len(self._parts) and all(a is b for a, b in zip(parts, self._parts, strict=True))
         return self._compiled if same else None
 
-    def keep(self, scene: Scene, filtered: bool, compiled: Compiled) -> None:
-        self._parts, self._compiled = (filtered, *_parts(scene)), compiled
+    def keep(self, scene: Scene, kind: tuple, compiled: Compiled) -> None:
+        self._parts, self._compiled = (*kind, *_parts(scene)), compiled
 
 
 def _parts(scene: Scene) -> tuple:
@@ -92,21 +93,27 @@ def render(
     clock = _Clock(progress)
     if settings.method == "conventional":
         settings = replace(settings, samples=1)
-    filtered = settings.method == "conventional"  # else the pixel's many rays do it
-    compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
+    filtered = settings.method in ("conventional", "forward")  # else the pixel's many rays do it
+    forward = settings.method == "forward"
+    kind = (filtered, forward)
+    compiled = cache.find(scene, kind) if cache is not None and scene.camera is not None else None
     helper = Helper()
     try:
         if compiled is None:
             compiled = _compile(scene, filtered, settings, clock, helper)
             if cache is not None:
-                cache.keep(scene, filtered, compiled)
-        stage = _prepare(scene, compiled, settings, clock)
-        clock.phase("rendering")
-        frame, counters = _render_tiles(stage, settings, clock)
+                cache.keep(scene, kind, compiled)
+        if forward:
+            frame, counters, needs = _splat(scene, compiled, settings, clock)
+        else:
+            stage = _prepare(scene, compiled, settings, clock)
+            clock.phase("rendering")
+            frame, counters = _render_tiles(stage, settings, clock)
+            needs = asdict(stage.needs)
     finally:
         helper.stop()
     clock.phase("done")
-    geometry = stage.shader.geometry
+    geometry = compiled.geometry
     frame.stats.update(
         method=settings.method,
         samples=settings.samples,
@@ -115,7 +122,7 @@ def render(
         nesting=geometry.depth,
         times=clock.times,
         counters=dict(counters),
-        needs=asdict(stage.needs),
+        needs=needs,
     )
     frame.warnings[:0] = list(dict.fromkeys(compiled.warnings))
     return frame
@@ -152,11 +159,10 @@ def _compile(
     clock.phase("checking the scene")
     warnings = scene.validate()
     clock.phase("loading kernels")
-    if settings.threads != 1:
+    forward = settings.method == "forward"
+    if settings.threads != 1 and not forward:
         helper.start()
-    from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
     from pointmr_engine.hierarchy.geometry import compile_geometry
-    from pointmr_engine.raytracing.lights import build_lights
 
     clock.phase("compiling materials")
     geometry = compile_geometry(scene)
@@ -166,13 +172,41 @@ def _compile(
         program = compile_graph((material or plain).graph, filtered=filtered)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
+    warnings += geometry.warnings
+    if forward:
+        from pointmr_engine.forward.method import Sampler
+
+        clock.phase("building hierarchies")
+        sampler = Sampler(scene, geometry, programs, clock.tell)
+        return Compiled(geometry, programs, None, None, sampler, warnings + sampler.environment.warnings)
+    from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
+    from pointmr_engine.raytracing.lights import build_lights
+
     helper.begin(describe(scene, programs, settings))
     clock.phase("building hierarchies")
     acceleration = build_acceleration(geometry, progress=clock.tell)
     acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
     clock.phase("gathering lights")
     lights = build_lights(scene, geometry, programs)
-    return Compiled(geometry, programs, acceleration, lights, warnings + geometry.warnings + lights.warnings)
+    return Compiled(geometry, programs, acceleration, lights, None, warnings + lights.warnings)
+
+
+def _splat(
+    scene: Scene, compiled: Compiled, settings: RenderSettings, clock: _Clock
+) -> tuple[Frame, Counter, dict]:
+    """Method forward: the frame, counters, and what was needed."""
+    from pointmr_engine.forward.method import Image, render_image
+    from pointmr_engine.image.film import Film
+    from pointmr_engine.raytracing.camera import compile_camera
+
+    camera = compile_camera(scene.camera, settings)
+    image = Image(compiled.sampler, scene, camera, settings)
+    frame = Film(settings).frame
+    clock.phase("rendering")
+    counters = render_image(
+        image, frame, lambda fraction, tile: clock.tell(fraction, None if tile is None else Tile(*tile))
+    )
+    return frame, counters, image.needs()
 
 
 def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: _Clock):
@@ -185,7 +219,7 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
     from pointmr_engine.raytracing.shade import Shader
     from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 
-    geometry, programs, acceleration, lights, _ = compiled
+    geometry, programs, acceleration, lights, *_ = compiled
     camera = compile_camera(scene.camera, settings)
     needs = decide_needs(programs, lights, settings, lens=bool(camera.lens[0] > 0.0))
     index = [0 if m is None else m.pass_index for m in geometry.materials]

@@ -2,9 +2,9 @@
 Approximation").
 
 A walk from the root through nested instances takes a box where its density can be one number: where
-(z_max / z_min)^2 <= 1 + epsilon, no triangle in it expects more than a few points, and it is not larger on the screen than
-pays for culling; or where it is smaller than a fraction of a pixel. Otherwise it looks at the box's own items one by one and
-goes on below it. What is outside the view is left.
+(z_max / z_min)^2 <= 1 + epsilon, no triangle in it expects more than a few points, and it looks no larger than what
+culling needs; or where it is smaller than a fraction of a pixel. Otherwise it looks at the box's own items one by one
+and goes on below it. What is outside the view is left.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Selection(NamedTuple):
     transforms: Transforms
     scale: np.ndarray  # (rows,) float64: bound of the factor by which a row's matrix scales areas
     uniform: np.ndarray  # (rows,) bool: it is exact
-    view: View
+    eye: View
     visited: int  # nodes looked at
 
 
@@ -83,7 +83,7 @@ class _Work(NamedTuple):
     scale: np.ndarray
     uniform: np.ndarray
     used: np.ndarray  # (5,) int64: of stack, rows, boxes, triangles; nodes visited
-    corner: np.ndarray  # (9,) float64: z_min, z_max, x0, y0, x1, y1 in pixels, squared slope; unused, unused
+    corner: np.ndarray  # (7,) float64: z_min, z_max, x0, y0, x1, y1 in pixels, squared slope
 
 
 def make_view(
@@ -100,13 +100,17 @@ def make_view(
 
 
 def select_boxes(octree: Octree, distribution: Distribution, view: View) -> Selection:
-    """Boxes and triangles that an image needs. O(log tau + h + a), of single boxes on the order of tens of nanoseconds."""
+    """Boxes and triangles that an image needs: O(log tau + h + a), a the surface in pixels."""
     geometry, arrays = octree.geometry, octree.arrays
     group = len(geometry.groups) - 1
     boxes, triangles, transforms = _boxes(1 << 14), _triangles(1 << 12), allocate_transforms(1 << 10)
     work = _Work(
-        np.empty((1 << 12, 2), np.int32), np.empty(1 << 10), np.empty(1 << 10, np.bool_), np.zeros(5, np.int64), np.empty(9)
-    )  # fmt: skip
+        np.empty((1 << 12, 2), np.int32),
+        np.empty(1 << 10),
+        np.empty(1 << 10, np.bool_),
+        np.zeros(5, np.int64),
+        np.empty(7),
+    )
     if group >= 0 and arrays.group_root[group] >= 0:
         compose_root(transforms, view.camera.camera_from_world, arrays, np.int64(group), np.int64(0))
         work.scale[0], work.uniform[0] = area_scale(transforms.matrix.ravel(), np.int64(0))
@@ -267,7 +271,7 @@ def _see_triangle(view, octree, tables, m, row, group, part, triangle, out):
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     if view.limits[4] != 0.0:
         toward = x * ax + y * ay + z * az if view.camera.perspective[0] else z
-        # z points into the scene, which mirrors the winding: fronts have their normals along the line of sight here
+        # the product has turned over with the matrix (always by the camera's z, which points into the scene)
         det = m[row, 0] * (m[row, 5] * m[row, 10] - m[row, 6] * m[row, 9])
         det -= m[row, 1] * (m[row, 4] * m[row, 10] - m[row, 6] * m[row, 8])
         det += m[row, 2] * (m[row, 4] * m[row, 9] - m[row, 5] * m[row, 8])

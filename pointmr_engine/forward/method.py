@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import threading
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
 import numpy as np
 
@@ -23,11 +24,13 @@ from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.octree import build_octree
 from pointmr_engine.hierarchy.sample_sets import SampleSets
+from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.raytracing.camera import CameraArrays
 from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 
+WAITING = COUNTERS.index("waiting")
 TILE = 94  # pixels; with one more on each side for the filter, and four subpixels, whole blocks
 
 
@@ -68,7 +71,23 @@ class Image:
         self.view = make_view(camera, self.subpixels, z)
         self.lights = point_lights(scene.lights, camera.camera_from_world)
         self.ambient = sampler.ambient
-        self.counters: Counter = Counter()
+        self.region = settings.region or (0, 0, settings.width, settings.height)
+        index = [0 if m is None else m.pass_index for m in sampler.geometry.materials]
+        self.material_index = np.array(index, np.float32)
+
+    def build(self, nodes: np.ndarray, tell) -> None:
+        """Build the sample sets that `nodes` wait for."""
+        levels = self.sampler.octree.arrays.level[nodes]
+        pairs = np.unique(np.stack([self.sets.node_group[nodes], levels], 1), axis=0)
+        self.sets.require([(int(g), int(level)) for g, level in pairs], lambda fraction: tell(0.0, None))
+
+    def needs(self) -> dict:
+        """What this image required, for the frame's statistics."""
+        return {
+            "sample_sets": len(self.sets.built),
+            "samples": self.sets.used,
+            "octree_nodes": len(self.sampler.octree.arrays.box),
+        }
 
     def hierarchy(self) -> Hierarchy:
         """The hierarchy as it is now; further sets may come."""
@@ -108,53 +127,101 @@ class Workspace:
         self.target = allocate_target(side, side)
         self.scratch = Scratch(self.target)
         self.fragments = allocate_fragments(side * side)  # at most; untouched pages cost nothing
-        self.fragment_of = np.full(1 << 16, -1, np.int32)
+        self.fragment_of = np.empty(1 << 16, np.int32)
+        self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
+        self.shaded = 0
         self.light = np.empty((side * side, 3), np.float32)
         self.lines = np.empty((side, TILE, 4), np.float32)
         self.line = np.empty((side, 4), np.float32)
         self.corners = np.empty((3, 3))
         self.background = np.zeros((TILE + 2 * image.apron, TILE + 2 * image.apron, 4), np.float32)
 
-    def draw(self, bounds, hierarchy: Hierarchy, wanted: np.ndarray) -> int:
-        """Walk for a tile x0, y0, x1, y1 of pixels; returns the number of entries."""
+    def draw(self, bounds, hierarchy: Hierarchy) -> np.ndarray | None:
+        """Walk for a tile x0, y0, x1, y1 of pixels; returns the nodes whose sets it misses, None if it is complete."""
         image, s, a = self.image, self.image.subpixels, self.image.apron
         x0, y0, x1, y1 = bounds
         self.left, self.low = (x0 - a) * s, (y0 - a) * s
         self.width, self.height = (x1 - x0 + 2 * a) * s, (y1 - y0 + 2 * a) * s
         clear(self.target, self.width)
+        counters = self.scratch.counters
+        waiting = counters[WAITING]
         self.entries = walk(
             image.view, hierarchy, image.camera.camera_from_world, image.spacing,
             (self.left, self.low, self.left + self.width, self.low + self.height),
-            self.scratch, wanted, image.settings.forward.occlusion_culling,
+            self.scratch, self.wanted, image.settings.forward.occlusion_culling,
         )  # fmt: skip
-        return self.entries
+        if counters[WAITING] == waiting:
+            return None
+        missing = np.flatnonzero(self.wanted)
+        self.wanted[missing] = 0
+        return missing
 
-    def shade(self, bounds, hierarchy: Hierarchy, out: np.ndarray) -> None:
-        """Shade what the tile shows, and filter it into out (h, w, 4) float32."""
+    def shade(self, bounds, hierarchy: Hierarchy, frame: Frame) -> None:
+        """Shade what the tile shows, and filter it into the frame."""
         image, s = self.image, self.image.subpixels
         if len(self.fragment_of) < self.entries:
-            self.fragment_of = np.full(2 * self.entries, -1, np.int32)
-        entries = self.scratch.entries
+            self.fragment_of = np.empty(2 * self.entries, np.int32)
         self.fragment_of[: self.entries] = -1
-        count = find_fragments(
-            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(s), entries,
-            self.fragment_of, self.fragments,
-        )  # fmt: skip
-        f = self.fragments
+        ids, f, entries = self.target.ids, self.fragments, self.scratch.entries
+        width, height, s = np.int64(self.width), np.int64(self.height), np.int64(s)
+        count = find_fragments(ids, width, height, s, entries, self.fragment_of, f)
         fill_fragments(
             image.view, np.int64(self.left), np.int64(self.low), hierarchy.octree, hierarchy.sets, hierarchy.parts,
             self.scratch.transforms, entries, f, count, self.corners,
         )  # fmt: skip
+        self.shaded += count
         self._look_up_triangles(count)
         shade_lambert(
             image.view.perspective, f.position, f.normal, f.albedo, f.emission, image.lights, image.ambient,
             np.zeros((0, 0), np.float32), count, self.light,
         )  # fmt: skip
         self._background(bounds)
-        filter_tile(
-            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(s), self.light,
-            self.background, image.taps, self.lines, self.line, out,
-        )  # fmt: skip
+        self._write(bounds, frame, count)
+
+    def _write(self, bounds, frame: Frame, count: int) -> None:
+        """All passes of the tile."""
+        image, f, s = self.image, self.fragments, self.image.subpixels
+        x0, y0 = image.region[:2]
+        where = np.s_[bounds[1] - y0 : bounds[3] - y0, bounds[0] - x0 : bounds[2] - x0]
+        rows, columns = bounds[3] - bounds[1], bounds[2] - bounds[0]
+        nothing = np.zeros_like(self.background)
+
+        def filtered(values, background):
+            out = np.empty((rows, columns, 4), np.float32)
+            filter_tile(
+                self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(s), values, background,
+                image.taps, self.lines, self.line, out,
+            )  # fmt: skip
+            return out
+
+        combined = filtered(self.light, self.background)
+        combined[:, :, :3] *= image.settings.film_exposure
+        frame.passes["combined"][where] = np.nan_to_num(combined, copy=False)
+        middle = image.apron * s + s // 2
+        nearest = self.target.ids[middle : self.height : s, middle : self.width : s][:rows, :columns]
+        seen, k = nearest >= 0, np.maximum(nearest, 0)
+        to_world = image.camera.world_from_camera
+        for name, target in frame.passes.items():
+            if name in ("emission", "diffuse_color", "normal"):
+                values = {"emission": f.emission, "diffuse_color": f.albedo, "normal": f.normal}[name]
+                block = filtered(values, nothing)[:, :, :3]
+                if name == "emission":
+                    block = block * image.settings.film_exposure
+                elif name == "normal":
+                    block = block @ to_world[:, :3].T
+            elif name == "depth":
+                block = np.where(seen, f.position[k][..., 2], NOTHING)[..., None]
+            elif name == "position":
+                block = (f.position[k] @ to_world[:, :3].T + to_world[:, 3]) * seen[..., None]
+            elif name == "object_index":
+                block = (image.object_index(self.scratch, f.row[k]) * seen)[..., None]
+            elif name == "material_index":
+                block = (image.material_index[f.material[k]] * seen)[..., None]
+            elif name == "sample_count":
+                block = np.ones((rows, columns, 1))
+            else:
+                continue
+            target[where] = block
 
     def _look_up_triangles(self, count: int) -> None:
         f = self.fragments
@@ -194,51 +261,68 @@ class Workspace:
         self.background[y, x, 3] = 1
 
 
-def render_image(image: Image, region, clock=None) -> tuple[np.ndarray, Counter]:
-    """(pixels (h, w, 4) float32 premultiplied, counters) of the region x0, y0, x1, y1."""
-    x0, y0, x1, y1 = region
-    out = np.zeros((y1 - y0, x1 - x0, 4), np.float32)
+def render_image(
+    image: Image, frame: Frame, tell: Callable[[float, tuple[int, int, np.ndarray] | None], None]
+) -> Counter:
+    """Fill the frame's passes; returns counters.
+
+    tell(fraction, (x, y, pixels) of a finished tile in the frame or None) is called from this thread and may raise to cancel.
+    """
+    x0, y0, x1, y1 = image.region
     tiles = [
         (x, y, min(x + TILE, x1), min(y + TILE, y1)) for y in range(y0, y1, TILE) for x in range(x0, x1, TILE)
     ]
-    nodes = len(image.sampler.octree.arrays.box)
+    total, done = len(tiles), 0
     local = threading.local()
     spaces: list[Workspace] = []
     lock = threading.Lock()
+    stop = threading.Event()
 
     def work(bounds):
+        if stop.is_set():
+            return bounds, None, None
         if not hasattr(local, "space"):
             local.space = Workspace(image)
-            local.wanted = np.zeros(nodes, np.uint8)
             with lock:
                 spaces.append(local.space)
-        space, wanted = local.space, local.wanted
         hierarchy = image.hierarchy()
-        missing = space.scratch.counters[COUNTERS.index("waiting")]
-        space.draw(bounds, hierarchy, wanted)
-        if space.scratch.counters[COUNTERS.index("waiting")] > missing:
-            missing_nodes = np.flatnonzero(wanted)
-            wanted[missing_nodes] = 0
-            return missing_nodes
-        part = out[bounds[1] - y0 : bounds[3] - y0, bounds[0] - x0 : bounds[2] - x0]
-        block = np.empty(part.shape, np.float32)
-        space.shade(bounds, hierarchy, block)
-        part[:] = block
-        return None
+        missing = local.space.draw(bounds, hierarchy)
+        if missing is None:
+            local.space.shade(bounds, hierarchy, frame)
+        return bounds, missing, (bounds[0] - x0, bounds[1] - y0)
 
-    threads = image.settings.threads or os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as pool:
+    pool = ThreadPoolExecutor(image.settings.threads or os.cpu_count() or 1, thread_name_prefix="pointmr")
+    try:
         while tiles:
-            results = list(pool.map(work, tiles))
-            again = [(t, r) for t, r in zip(tiles, results, strict=True) if r is not None]
+            # numba's dispatchers must not meet new types on two threads at once: the first tile runs alone
+            pending = {pool.submit(work, tiles[0])}
+            waiting = tiles[1:]
+            again: list[tuple[tuple, np.ndarray]] = []
+            while pending:
+                finished, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
+                if finished and waiting:
+                    pending |= {pool.submit(work, bounds) for bounds in waiting}
+                    waiting = []
+                for future in finished:
+                    bounds, missing, place = future.result()
+                    if missing is not None:
+                        again.append((bounds, missing))
+                    elif place is not None:
+                        x, y = place
+                        done += 1
+                        block = frame.passes["combined"][
+                            y : y + bounds[3] - bounds[1], x : x + bounds[2] - bounds[0]
+                        ]
+                        tell(done / total, (x, y, block.copy()))
+                tell(done / total, None)
             if again:
-                wanted = np.unique(np.concatenate([r for _, r in again]))
-                groups = image.sets.node_group[wanted]
-                levels = image.sampler.octree.arrays.level[wanted]
-                pairs = np.unique(np.stack([groups, levels], 1), axis=0)
-                image.sets.require([(int(g), int(level)) for g, level in pairs])
-            tiles = [t for t, _ in again]
+                image.build(np.unique(np.concatenate([m for _, m in again])), tell)
+            tiles = sorted(bounds for bounds, _ in again)
+    finally:
+        stop.set()
+        pool.shutdown(wait=True, cancel_futures=True)
     counters = Counter()
     for space in spaces:
         counters.update(dict(zip(COUNTERS, space.scratch.counters.tolist(), strict=True)))
-    return out, counters
+        counters.update(fragments=space.shaded)
+    return counters
