@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pointmr_engine.hierarchy.nearest import STACK, PointTree, build_tree, squared
-from pointmr_engine.hierarchy.pieces import as_triangles, measure, positive
+from pointmr_engine.hierarchy.nearest import LEAF, STACK, PointTree, build_tree, squared
+from pointmr_engine.hierarchy.pieces import as_triangles, halve, measure, positive, whole
 from pointmr_engine.hierarchy.strategies import neighbourhood
 from pointmr_engine.scene.errors import SceneError
 
@@ -51,7 +51,7 @@ def fill_uncovered(triangles: np.ndarray, samples: np.ndarray, spacing: float) -
     """Points of triangles (T, 3, 3), more than `spacing` apart, that bring all of them within `spacing` of a sample.
 
     samples (K, 3), in the space of the triangles. Few are added where they miss only slivers between the candidates
-    that they were chosen from.
+    that they were chosen from. Raises SceneError where float32 positions are too coarse for the spacing.
     """
     triangles = as_triangles(triangles)
     samples = _points(samples)
@@ -64,6 +64,11 @@ def fill_uncovered(triangles: np.ndarray, samples: np.ndarray, spacing: float) -
         bare = _bare(triangles, which, tree, spacing)
         if len(bare.triangle) == 0:
             return found
+        if np.abs(bare.position).max() > spacing * 2**21:
+            # rounded to float32, an added point would not cover what it was added for
+            raise SceneError(
+                f"a spacing of {spacing:g} is too fine for points as far from the origin as these"
+            )
         chosen = neighbourhood.select(
             bare.position, np.ones(len(bare.u), np.float32), spacing, 0
         ).representative
@@ -124,26 +129,6 @@ def _load(triangles, t, part, top, corner):
 
 
 @_jit
-def _halve(part, top, edge):
-    """Replace a part by its halves across an edge; the second is on top."""
-    p, q = 2 * edge, 2 * ((edge + 1) % 3)
-    u = 0.5 * (part[top, p] + part[top, q])
-    v = 0.5 * (part[top, p + 1] + part[top, q + 1])
-    for k in range(6):
-        part[top + 1, k] = part[top, k]
-    part[top, p], part[top, p + 1] = u, v
-    part[top + 1, q], part[top + 1, q + 1] = u, v
-
-
-@_jit
-def _begin(part):
-    for k in range(6):
-        part[0, k] = 0.0
-    part[0, 2] = 1.0
-    part[0, 5] = 1.0
-
-
-@_jit
 def _farthest(tree, i, corner):
     """Squared distance of the tree's point i to the corner that is farthest from it."""
     most = 0.0
@@ -171,7 +156,7 @@ def _cover(tree, corner, enough, guess, stack, gap):
         if gap[top] >= bound:
             continue
         node, low, high = stack[top, 0], stack[top, 1], stack[top, 2]
-        while high - low > 8:
+        while high - low > LEAF:
             axis = tree.axis[node]
             d = (x if axis == 0 else (y if axis == 1 else z)) - tree.plane[node]
             middle = (low + high) // 2
@@ -211,7 +196,7 @@ def _radius(triangles, tree, tolerance, part, stack, gap):
             area, _ = measure(triangles, t)
             if area == 0.0:
                 continue
-            _begin(part)
+            whole(part)
             top = 0
             while top >= 0:
                 longest, edge = _load(triangles, t, part, top, corner)
@@ -220,7 +205,7 @@ def _radius(triangles, tree, tolerance, part, stack, gap):
                     proven = max(proven, least)
                     if exact == 1 and bound > proven * slack:
                         if top < _PARTS - 2 and longest > 1e-60:
-                            _halve(part, top, edge)
+                            halve(part, top, edge)
                             top += 2
                         else:
                             unproven = max(unproven, bound)
@@ -240,7 +225,7 @@ def _uncovered(triangles, which, tree, spacing, part, stack, gap, bare):
         area, _ = measure(triangles, t)
         if area == 0.0:
             continue
-        _begin(part)
+        whole(part)
         top = 0
         while top >= 0:
             longest, edge = _load(triangles, t, part, top, corner)
@@ -260,7 +245,7 @@ def _uncovered(triangles, which, tree, spacing, part, stack, gap, bare):
                         bare.v[count] = v
                     count += 1
                 else:
-                    _halve(part, top, edge)
+                    halve(part, top, edge)
                     top += 2
             top -= 1
     return count

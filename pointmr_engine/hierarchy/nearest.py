@@ -10,7 +10,7 @@ from numba import njit
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
-_LEAF = 8
+LEAF = 8  # points that are not divided further
 STACK = 64  # deep enough for 2^31 points
 
 
@@ -27,7 +27,7 @@ def build_tree(points: np.ndarray) -> PointTree:
     """The k-d tree of points (N, 3), all finite."""
     point = np.array(points, np.float64, ndmin=2).reshape(-1, 3)
     n = len(point)
-    depth = 0 if n <= _LEAF else math.ceil(math.log2(n / _LEAF))
+    depth = 0 if n <= LEAF else math.ceil(math.log2(n / LEAF))
     nodes = 2**depth
     tree = PointTree(point, np.arange(n, dtype=np.int32), np.zeros(nodes), np.zeros(nodes, np.int8))
     _build(tree, np.empty((STACK, 3), np.int64))
@@ -75,7 +75,7 @@ def _build(tree, stack):
     while top > 0:
         top -= 1
         node, low, high = stack[top, 0], stack[top, 1], stack[top, 2]
-        if high - low <= _LEAF:
+        if high - low <= LEAF:
             continue
         axis, widest = 0, -1.0
         for k in range(3):
@@ -118,7 +118,7 @@ def nearest(tree, x, y, z, guess, stack, gap):
         if gap[top] >= best2:
             continue
         node, low, high = stack[top, 0], stack[top, 1], stack[top, 2]
-        while high - low > _LEAF:
+        while high - low > LEAF:
             axis = tree.axis[node]
             d = (x if axis == 0 else (y if axis == 1 else z)) - tree.plane[node]
             middle = (low + high) // 2

@@ -106,7 +106,7 @@ def _corner(triangles, t, u, v, k):
 
 @_jit
 def _edges(triangles, t, stack, top):
-    """Squared lengths of the three edges (opposite to the third, first and second corner) of a part."""
+    """Squared lengths of the three edges of a part, in the order of `halve`."""
     a = b = c = 0.0
     for k in range(3):
         x = _corner(triangles, t, stack[top, 0], stack[top, 1], k)
@@ -119,24 +119,24 @@ def _edges(triangles, t, stack, top):
 
 
 @_jit
-def _whole(stack):
+def whole(part):
+    """Make row 0 of part the whole triangle; a row holds u, v of three corners."""
     for k in range(6):
-        stack[0, k] = 0.0
-    stack[0, 2] = 1.0
-    stack[0, 5] = 1.0
+        part[0, k] = 0.0
+    part[0, 2] = 1.0
+    part[0, 5] = 1.0
 
 
 @_jit
-def _halve(stack, top, a, b, c):
-    """Replace a part by its two halves across its longest edge."""
-    p = 0 if a >= b and a >= c else (2 if b >= c else 4)
-    q = (p + 2) % 6
-    u = 0.5 * (stack[top, p] + stack[top, q])
-    v = 0.5 * (stack[top, p + 1] + stack[top, q + 1])
+def halve(part, top, edge):
+    """Replace a part by its halves across an edge (0: first to second corner, and so on); then in rows top, top + 1."""
+    p, q = 2 * edge, 2 * ((edge + 1) % 3)
+    u = 0.5 * (part[top, p] + part[top, q])
+    v = 0.5 * (part[top, p + 1] + part[top, q + 1])
     for k in range(6):
-        stack[top + 1, k] = stack[top, k]
-    stack[top, p], stack[top, p + 1] = u, v
-    stack[top + 1, q], stack[top + 1, q + 1] = u, v
+        part[top + 1, k] = part[top, k]
+    part[top, p], part[top, p + 1] = u, v
+    part[top + 1, q], part[top + 1, q + 1] = u, v
 
 
 @_jit
@@ -162,14 +162,14 @@ def _count(triangles, size, stack, count):
         if longest / size > 1e8:
             count[t] = -1
             continue
-        _whole(stack)
+        whole(stack)
         top, total, share = 0, 0, 1.0
         while top >= 0:
             a, b, c = _edges(triangles, t, stack, top)
             share = _share(stack, top)
             k = _divisions(area * share, a, b, c, size, top < _STACK - 1)
             if k == 0:
-                _halve(stack, top, a, b, c)
+                halve(stack, top, 0 if a >= b and a >= c else (1 if b >= c else 2))
                 top += 1
             else:
                 total += k * k
@@ -195,14 +195,14 @@ def _fill(triangles, size, stack, first, pieces):
         if first[t + 1] == at:
             continue
         area, longest = measure(triangles, t)
-        _whole(stack)
+        whole(stack)
         top = 0
         while top >= 0:
             share = _share(stack, top)
             a, b, c = _edges(triangles, t, stack, top)
             k = _divisions(area * share, a, b, c, size, top < _STACK - 1) if longest > size else 1
             if k == 0:
-                _halve(stack, top, a, b, c)
+                halve(stack, top, 0 if a >= b and a >= c else (1 if b >= c else 2))
                 top += 1
             else:
                 at = _divide(triangles, t, stack, top, area * share, k, at, pieces)

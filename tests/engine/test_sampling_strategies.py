@@ -380,5 +380,7 @@ def test_bad_input_is_named():
         select("neighbourhood", position + np.float32(np.nan), area, 1.0, 0)
     with pytest.raises(SceneError, match="too fine"):
         select("jittered_grid", np.array([[0, 0, 0], [1, 1, 1]]), area[:2], 1e-7, 0)
+    with pytest.raises(SceneError, match="too fine"):
+        sample_triangles(triangles + 1e7, 0.3)
     with pytest.raises(SceneError, match="finite"):
         verified_radius(triangles, [[0, 0, np.nan]])
