@@ -48,7 +48,7 @@ def verified_radius(triangles: np.ndarray, samples: np.ndarray, tolerance: float
 
 
 def fill_uncovered(triangles: np.ndarray, samples: np.ndarray, spacing: float) -> Extra:
-    """Points of triangles (T, 3, 3), more than `spacing` apart, that bring all of them within `spacing` of a sample.
+    """Points of triangles (T, 3, 3) that bring every point of them within `spacing` of a sample.
 
     samples (K, 3), in the space of the triangles. Few are added where they miss only slivers between the candidates
     that they were chosen from. Raises SceneError where float32 positions are too coarse for the spacing.
