@@ -30,6 +30,9 @@ from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.points import RAY_SHADOW
 
 BATCH = 65536  # paths that move together: enough to make numpy's overhead small, few enough for the cache
+_NEXT = np.array(
+    [0.8191725134, 0.6710436067, 0.5497004779]
+)  # Roberts' low-discrepancy steps in three dimensions
 
 
 @dataclass(eq=False)
@@ -45,6 +48,10 @@ class Stage:
     limits: Limits
     materials_index: np.ndarray  # (materials,) int32 pass index
     tables: tuple = field(default_factory=sobol_tables)
+
+    def __post_init__(self):
+        if self.settings.method == "conventional":
+            self.lights = self.lights.apart
 
 
 class Workspace:
@@ -158,10 +165,15 @@ class Workspace:
             self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u,
         )  # fmt: skip
 
-    def sample_lights(self, m: int) -> LightSamples:
+    def sample_lights(self, m: int, turn=None) -> LightSamples:
         chosen = LightSamples(*(a[:m] for a in self.light_samples))
         self.stage.lights.sample(
-            self.lit_position[:m], self.lit_normal[:m], self.lit_transmissive[:m], self.lit_u[:m], chosen
+            self.lit_position[:m],
+            self.lit_normal[:m],
+            self.lit_transmissive[:m],
+            self.lit_u[:m],
+            chosen,
+            turn,
         )
         return chosen
 
@@ -297,12 +309,17 @@ class Workspace:
         now.flags[rows] |= PASSES_DONE
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
-        """One light sample for each point that can use one, and the shadow rays to it."""
-        stage = self.stage
+        """One light sample in every turn for each point that can use one, and the shadow rays to it."""
         m = self.choose_points(now, n, alive, bounce)
-        if not m:
-            return
-        chosen = self.sample_lights(m)
+        for k, turn in enumerate(self.stage.lights.turns if m else ()):
+            if k:  # each turn has its own place in the unit cube
+                self.lit_u[:m] += _NEXT
+                self.lit_u[:m] -= np.floor(self.lit_u[:m])
+            self._look_at_light(now, m, turn)
+
+    def _look_at_light(self, now, m: int, turn) -> None:
+        stage = self.stage
+        chosen = self.sample_lights(m, turn)
         stage.lights.emission_at(chosen)
         count = self.connect(now, m, chosen)
         if self.raises and count:

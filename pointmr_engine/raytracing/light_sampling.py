@@ -216,7 +216,7 @@ def add_seen_lamps(
 
 @uncounted
 def selection_pdf(tree, leaf, position, normal, transmissive, out):
-    """Multiply out (N,) by the probability with which the light of each node leaf (N,) is chosen; nothing for -1."""
+    """Multiply out (N,) by the probability with which the light of each node leaf (N,) is chosen; nothing below 0."""
     for i in range(len(leaf)):
         if leaf[i] >= 0 and out[i] > 0.0:
             px, py, pz = position[i, 0], position[i, 1], position[i, 2]

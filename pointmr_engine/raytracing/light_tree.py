@@ -35,6 +35,7 @@ COLUMNS = 20
 _FEW = 32  # lights that are all weighed at every point
 _TOPS = 16  # nodes weighed at the top of a tree
 _FAINT = 1 / 64  # share of the energy below which a cluster is not worth opening there: its descent will do
+ALWAYS = -2  # in place of a light's node: it is not in the tree, for every point samples it
 _CLOSED = 0.05  # importance of the inside of closed meshes
 
 
@@ -51,19 +52,19 @@ class LightTree(NamedTuple):
     top: np.ndarray  # (M,) int32: place in `tops`, -1 below and above them
     tops: np.ndarray  # (K,) int32: the nodes among which a light is first chosen; they cover each light once
     values: np.ndarray  # (M, COLUMNS) float64
-    leaf_of_lamp: np.ndarray  # (L,) int32
+    leaf_of_lamp: np.ndarray  # (L,) int32, or ALWAYS, here and below
     leaf_of_emitter: np.ndarray  # (E,) int32
     leaf_of_world: int  # -1: not sampled
 
 
-def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap) -> LightTree:
-    """The tree over all lamps, emissive triangles and the world."""
+def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap, apart: bool = False) -> LightTree:
+    """The tree over all lamps, emissive triangles and the world. apart: over the triangles alone, the others ALWAYS."""
     distant = np.isin(lamps.shape, (lamp_kinds.DISTANT, lamp_kinds.SUN))
-    near, far = np.flatnonzero(~distant), np.flatnonzero(distant)
+    near, far = np.flatnonzero(~distant & (not apart)), np.flatnonzero(distant & (not apart))
     values = np.concatenate([_lamp_values(lamps, near), _emitter_values(emitters)])
     item = np.concatenate([near, np.arange(len(emitters.path))]).astype(np.int32)
     far_values, far_item = _sun_values(lamps, far), far
-    if world.mode != OFF:
+    if world.mode != OFF and not apart:
         row = np.zeros((1, COLUMNS))
         row[0, ENERGY], row[0, KIND] = world.irradiance, WORLD
         far_values, far_item = np.concatenate([far_values, row]), np.append(far, 0)
@@ -94,7 +95,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap) -> Light
     tops = np.array([*tops, *range(n, lights)], np.int32)
     top = np.full(len(kind), -1, np.int32)
     top[tops] = np.arange(len(tops))
-    leaf_of_lamp = np.full(len(lamps.shape), -1, np.int32)
+    leaf_of_lamp = np.full(len(lamps.shape), ALWAYS if apart else -1, np.int32)
     leaf_of_emitter = np.full(len(emitters.path), -1, np.int32)
     for leaf_of, kinds in ((leaf_of_lamp, (LAMP, SUN)), (leaf_of_emitter, (TRIANGLE,))):
         leaves = np.flatnonzero(np.isin(kind[:lights], kinds))
@@ -110,7 +111,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap) -> Light
         np.ascontiguousarray(values),
         leaf_of_lamp,
         leaf_of_emitter,
-        int(worlds[0]) if len(worlds) else -1,
+        int(worlds[0]) if len(worlds) else (ALWAYS if apart and world.mode != OFF else -1),
     )
 
 
@@ -371,7 +372,9 @@ def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
 
 @uncounted
 def light_probability(tree, leaf, px, py, pz, nx, ny, nz, transmissive):
-    """Probability with which `choose_light` chooses that light's node."""
+    """Probability with which `choose_light` chooses that light's node; 1 for ALWAYS."""
+    if leaf == ALWAYS:
+        return 1.0
     values, item, span, tops = tree.values, tree.item, tree.span, tree.tops
     probability = 1.0
     node = np.int64(leaf)  # node numbers of another type would have all compiled once more, here and above

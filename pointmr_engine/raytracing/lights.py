@@ -7,6 +7,8 @@ together count every light once.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from pointmr_engine.hierarchy.geometry import Geometry
@@ -44,6 +46,9 @@ __all__ = [
 ]
 
 
+EACH = 8  # lamps and worlds that can each have a sample of their own at every point
+
+
 class Lights:
     """The compiled lights of a scene: `arrays` for kernels, programs for what varies. Threads may share it.
 
@@ -52,7 +57,8 @@ class Lights:
     chose the ray, inf where lights were not sampled at all (camera rays, mirrors): then the weight is 1.
 
     warnings: what was left out, by name. empty: nothing is ever sampled. only_met: something shines that is not sampled
-    (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it.
+    (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it. turns: what
+    `sample` is asked for in turn at every point, so that together they find all lights: here None alone, see `apart`.
     """
 
     def __init__(
@@ -71,10 +77,33 @@ class Lights:
         self.warnings = warnings
         self.only_met = only_met
         self.empty = len(arrays.tree.tops) == 0
+        self.turns: list[tuple[int, int] | None] = [None]
         self._geometry = geometry
         self._placements = placements
         self._programs = programs
         self._materials = materials  # (E,) int32: material of each emitter
+
+    @cached_property
+    def apart(self) -> Lights:
+        """The same lights, where each lamp and the world has a turn of its own if they are few.
+
+        For images of one ray a pixel, which cannot average over a choice among them.
+        """
+        a = self.arrays
+        turns: list = [(LAMP, k) for k in range(len(a.lamps.shape))]
+        if a.tree.leaf_of_world != -1:
+            turns.append((WORLD, 0))
+        if not turns or len(turns) > EACH:
+            return self
+        if len(a.emitters.path):
+            turns.append(None)
+        if len(turns) == 1:
+            return self
+        tree = build_light_tree(a.lamps, a.emitters, self.environment.map, apart=True)
+        parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
+        result = Lights(a._replace(tree=tree), *parts, self.only_met, self.warnings)
+        result.turns, result.empty = turns, False
+        return result
 
     def sample(
         self,
@@ -83,18 +112,26 @@ class Lights:
         transmissive: np.ndarray,
         u: np.ndarray,
         out: LightSamples,
+        turn: tuple[int, int] | None = None,
     ) -> None:
         """Choose a light and a direction to it for each point; u (N, 3) float64 in [0, 1): selection, then 2D.
 
         `out` may be longer than N. Rows flagged `pending` have no radiance yet: see `emission_at`.
+        turn: (kind, index) of the light that all points sample; None: each chooses one of those in the tree.
         """
-        a = self.arrays
-        kernels.choose_lights(a.tree, position, normal, transmissive, u, out)
-        if len(a.lamps.shape):
+        a, kind = self.arrays, None if turn is None else turn[0]
+        if turn is None:
+            kernels.choose_lights(a.tree, position, normal, transmissive, u, out)
+        else:
+            for column, value in (
+                (out.kind, kind), (out.index, turn[1]), (out.pdf, 1.0), (out.pending, kind == WORLD), (out.triangle, -1)
+            ):  # fmt: skip
+                column[: len(position)] = value
+        if len(a.lamps.shape) and kind in (None, LAMP):
             kernels.sample_lamps(a.lamps, position, normal, transmissive, u, out)
-        if len(a.emitters.path):
+        if len(a.emitters.path) and kind is None:
             kernels.sample_emitters(a.emitters, position, u, out)
-        if a.tree.leaf_of_world >= 0:
+        if a.tree.leaf_of_world != -1 and kind in (None, WORLD):
             kernels.sample_worlds(a.world, a.world_visibility, normal, transmissive, u, out)
 
     def emission_at(self, samples: LightSamples, index: np.ndarray | None = None) -> None:
@@ -194,7 +231,7 @@ class Lights:
         """(N,) float64: density per solid angle with which `sample` chooses the world in that direction."""
         out = np.zeros(len(direction))
         a = self.arrays
-        if a.tree.leaf_of_world >= 0:
+        if a.tree.leaf_of_world != -1:
             kernels.world_densities(a.world, normal, transmissive, direction, out)
             leaf = np.full(len(direction), a.tree.leaf_of_world, np.int32)
             kernels.selection_pdf(a.tree, leaf, position, normal, transmissive, out)

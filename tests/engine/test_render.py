@@ -20,6 +20,7 @@ from pointmr_engine import (
     uniform_world,
 )
 from pointmr_engine.render import Cancelled
+from pointmr_engine.scene.group import CAMERA
 from tests.engine.small_scenes import at, from_above, lit_floor, quad
 
 TINY = RenderSettings(width=24, height=16, samples=4)
@@ -230,3 +231,46 @@ def test_one_ray_a_pixel_looks_at_the_lights_once_on_diffuse_surfaces():
     assert one.stats["counters"].get("scattered_rays", 0) == 0
     many = combined(scene, samples=64, width=64, height=64)
     assert one.passes["combined"][..., :3].mean() == pytest.approx(many[..., :3].mean(), rel=0.03)
+
+
+def several_lights(**more) -> Scene:
+    """The floor under three lamps and a sun."""
+    scene = lit_floor(radius=0.0, **more)
+    scene.lights += [
+        Light("POINT", at(1, 1, 2), power=40.0, color=(1, 0.2, 0.1)),
+        Light("SPOT", at(-1, 0, 3), power=80.0, spot_angle=1.0),
+        Light("SUN", at(0, 0, 0), power=0.7, color=(0.1, 0.2, 1), angle=0.0),
+    ]
+    return scene
+
+
+def test_one_ray_a_pixel_looks_at_each_of_a_few_lights():
+    """Sharp lights leave no chance: the image is free of noise, and the sum of what each light gives."""
+    scene = several_lights()
+    image = combined(scene, method="conventional", seed=1)[..., :3]
+    np.testing.assert_array_equal(image, combined(scene, method="conventional", seed=2)[..., :3])
+    alone = [
+        combined(replace(scene, lights=[light]), method="conventional")[..., :3] for light in scene.lights
+    ]
+    np.testing.assert_allclose(image, sum(alone), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 1.0])
+def test_looking_at_each_light_keeps_the_mean(roughness):
+    """With soft lamps, a lamp of triangles and a sky, by glossy reflections too."""
+    scene = several_lights(world=uniform_world((0.2, 0.3, 0.4)))
+    for light in scene.lights:
+        light.radius = light.angle = 0.2
+        light.visibility &= ~CAMERA  # the edges of lamps would be jagged
+    scene.root.meshes[0].materials = (principled("shiny", metallic=0.5, roughness=roughness),)
+    lamp = quad(2.0, z=6.0, material=emission("lamp", strength=5.0))  # behind the camera
+    scene.root.meshes.append(lamp)
+    size = {"width": 64, "height": 64}
+    means = [
+        np.mean(
+            [combined(scene, method="conventional", seed=s, **size)[..., :3].mean((0, 1)) for s in range(4)],
+            0,
+        ),
+        combined(scene, samples=16, **size)[..., :3].mean((0, 1)),
+    ]
+    np.testing.assert_allclose(*means, rtol=0.02)
