@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 COARSEST = 4  # pixels of the first picture are at most this wide
 SMOOTH_SECONDS = 0.15  # a first picture that comes within this time needs no coarser one before it
+PATIENT_SECONDS = 1.0  # a picture that takes longer is preceded by one of half its resolution
 LONGEST_BATCH = 16  # rays per pixel and pass, so that refinement stays visible
 FORWARD_FIRST, FORWARD_SECOND, FORWARD_FINEST = (
     0.25,
@@ -67,6 +68,9 @@ class ForwardPace:
             self._learn(seconds, scale, pixel_size)
         else:  # which also built its hierarchies
             self._scene, self._seconds = scene, math.inf
+        while scale // 2 > pixel_size and seconds * (scale / pixel_size) ** 2 > PATIENT_SECONDS:
+            scale //= 2
+            seconds = yield Step(scale, FORWARD_SECOND, False)
         if total > FORWARD_SECOND:
             seconds = yield Step(pixel_size, FORWARD_SECOND, False)
             self._seconds = min(self._seconds, seconds)

@@ -350,6 +350,9 @@ def test_forward_mappings_first_picture_is_as_fine_as_it_was_quick():
     assert first(pace, scene) == 4
     assert first(pace, object(), 60.0) == 4
     assert first(pace, scene, pixel_size=8) == 8
+    steps = pace.steps(object(), ForwardSettings(), 4, 1)
+    slow = [next(steps), *(steps.send(s) for s in (0.5, 2.0, 8.0))]
+    assert [(step.scale, step.samples) for step in slow] == [(4, 0.25), (2, 1.0), (1, 1.0), (1, 4.0)]
 
 
 def test_viewport_starts_again_on_a_change_and_ends_when_closed(fake_render):
