@@ -224,8 +224,12 @@ class SampleSets:
         lo, hi = int(ranges[:, 0].min(initial=0)), int(ranges[:, 1].max(initial=0))
         rows = item[lo:hi]
         own = np.ones(hi - lo)
-        for b in np.unique(rows[rows[:, 0] < 0, 0]):
-            mask = rows[:, 0] == b
+        steps = np.zeros(hi - lo + 1, np.int64)
+        np.add.at(steps, ranges[:, 0] - lo, 1)
+        np.add.at(steps, ranges[:, 1] - lo, -1)
+        inside = np.cumsum(steps[:-1]) > 0  # between the intervals lie instances far too large to cover this finely
+        for b in np.unique(rows[(rows[:, 0] < 0) & inside, 0]):
+            mask = (rows[:, 0] == b) & inside
             child, scale = self._placed(-1 - int(b), rows[mask, 1])
             levels = self._cover_levels(child, scale, spacing * CANDIDATE)
             counts = np.zeros(int(mask.sum()))
