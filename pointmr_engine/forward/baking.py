@@ -120,3 +120,15 @@ def _normals_and_materials(tables, part, triangle, u, v, normal, material):
         length = np.sqrt(x * x + y * y + z * z)
         scale = 1.0 / length if length > 0.0 else 0.0
         normal[k, 0], normal[k, 1], normal[k, 2] = x * scale, y * scale, z * scale
+
+
+@uncounted
+def materials_of(tables, part, triangle, out):
+    """Material (index into Geometry.materials) of triangles (n,) in their shapes, into out (n,) int32; tables: PartTables."""
+    for k in range(len(part)):
+        p = np.int64(part[k])
+        slot = np.int64(0)
+        if tables.material_index[p] != 0:
+            slot = load_i32(tables.material_index[p], np.int64(triangle[k]))
+            slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
+        out[k] = tables.slot_material[tables.first_slot[p] + slot]

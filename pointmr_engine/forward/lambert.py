@@ -13,6 +13,41 @@ from pointmr_engine.scene.light import Light
 _FLAT, _ROUND = 0.95, 0.5
 
 
+class SimpleShading:
+    """Shading "simple" of one image. Threads may share it."""
+
+    def __init__(self, image):
+        scene_lights = image.scene_lights
+        chosen = [scene_lights[i] for i in image.lamps.source]
+        self.image = image
+        self.lights = point_lights(chosen, image.camera.camera_from_world)
+
+    def shade(self, space, hierarchy, count: int) -> None:
+        """Fill space.light[:count] with radiance towards the camera; fragments on triangles get their looks."""
+        f = space.fragments
+        self._look_up_triangles(space, count)
+        shade_lambert(
+            self.image.view.perspective, f.position, f.normal, f.albedo, f.emission, self.lights,
+            self.image.sampler.ambient, space.shadow, np.int64(count), space.light,
+        )  # fmt: skip
+
+    def _look_up_triangles(self, space, count: int) -> None:
+        f = space.fragments
+        rows = np.flatnonzero(~f.normal[:count].any(1))
+        if not len(rows):
+            return
+        width = self.image.pixel * np.maximum(f.position[rows, 2], 0.0).astype(np.float32)
+        look = self.image.sampler.baker(
+            f.part[rows], f.triangle[rows], f.place[rows, 0], f.place[rows, 1], width
+        )
+        matrix = space.scratch.transforms.matrix[f.row[rows]].reshape(-1, 3, 4)[:, :, :3]
+        cofactors = np.stack([np.cross(matrix[:, (i + 1) % 3], matrix[:, (i + 2) % 3]) for i in range(3)], 1)
+        normal = (cofactors * look.normal[:, None, :]).sum(2)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        f.normal[rows] = normal / np.where(length > 0, length, 1)
+        f.albedo[rows], f.emission[rows] = look.albedo, look.emission
+
+
 class PointLights(NamedTuple):
     """L lamps without extent, in camera space."""
 

@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
 import numpy as np
 
-from pointmr_engine.forward.baking import Baker
+from pointmr_engine.forward.baking import Baker, materials_of
 from pointmr_engine.forward.fragments import (
     allocate_fragments,
     fill_fragments,
@@ -18,15 +18,19 @@ from pointmr_engine.forward.fragments import (
     filter_tile,
     find_fragments,
 )
-from pointmr_engine.forward.lambert import point_lights, shade_lambert
+from pointmr_engine.forward.lambert import SimpleShading
+from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
 from pointmr_engine.forward.subpixels import allocate_target, clear, make_view
 from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
+from pointmr_engine.forward.world_light import WorldLight
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.octree import build_octree
 from pointmr_engine.hierarchy.sample_sets import SampleSets
 from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.raytracing.camera import CameraArrays
 from pointmr_engine.raytracing.environment import Environment
+from pointmr_engine.raytracing.lamps import compile_lamps
+from pointmr_engine.scene.group import CAMERA
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 
@@ -44,7 +48,8 @@ class Sampler:
         self.octree = build_octree(geometry, progress)
         self.baker = Baker(geometry, programs)
         self.environment = Environment(scene.world)
-        self.ambient = _mean_radiance(self.environment)
+        self.world_light = WorldLight(self.environment)
+        self.ambient = self.world_light.mean
         self.sets: dict[str, SampleSets] = {}
 
     def sets_of(self, strategy: str, failure: float) -> SampleSets:
@@ -69,8 +74,10 @@ class Image:
         root = len(sampler.geometry.groups) - 1
         z = _depth_range(camera.camera_from_world, octree.lower[root], octree.upper[root])
         self.view = make_view(camera, self.subpixels, z)
-        self.lights = point_lights(scene.lights, camera.camera_from_world)
-        self.ambient = sampler.ambient
+        self.pixel = self.subpixels / (self.view.scale_x * self.view.scale_y) ** 0.5
+        self.scene_lights = [*scene.lights, *sampler.world_light.suns]
+        self.lamps = compile_lamps(self.scene_lights)[0]
+        self.shading = _shading(self)
         self.region = settings.region or (0, 0, settings.width, settings.height)
         index = [0 if m is None else m.pass_index for m in sampler.geometry.materials]
         self.material_index = np.array(index, np.float32)
@@ -95,17 +102,13 @@ class Image:
         return Hierarchy(self.sampler.octree.arrays, self.sets.arrays, geometry.tables, geometry.instances)
 
 
-def _mean_radiance(environment: Environment) -> np.ndarray:
-    """(3,) float64 radiance of the world, averaged over all directions."""
-    n = 512
-    z = (2 * np.arange(n) + 1) / n - 1
-    angle = np.arange(n) * (np.pi * (3 - 5**0.5))
-    r = np.sqrt(1 - z * z)
-    return (
-        environment.radiance(np.stack([r * np.cos(angle), r * np.sin(angle), z], 1))
-        .mean(0)
-        .astype(np.float64)
-    )
+def _shading(image: Image):
+    """What lights the image's fragments: an object with shade(workspace, hierarchy, number of fragments)."""
+    if image.settings.forward.shading == "simple":
+        return SimpleShading(image)
+    from pointmr_engine.forward.materials import FullShading
+
+    return FullShading(image)
 
 
 def _depth_range(camera_from_world: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[float, float]:
@@ -130,6 +133,8 @@ class Workspace:
         self.fragment_of = np.empty(1 << 16, np.int32)
         self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
         self.shaded = 0
+        self.shadow = np.zeros((0, 0), np.float32)  # (lamps, fragments) share of light that arrives; or nothing
+        self.placed = allocate_placement_values(0)
         self.light = np.empty((side * side, 3), np.float32)
         self.lines = np.empty((side, TILE, 4), np.float32)
         self.line = np.empty((side, 4), np.float32)
@@ -170,15 +175,19 @@ class Workspace:
             self.scratch.transforms, entries, f, count, self.corners,
         )  # fmt: skip
         self.shaded += count
-        self._look_up_triangles(count)
-        shade_lambert(
-            image.view.perspective, f.position, f.normal, f.albedo, f.emission, image.lights, image.ambient,
-            np.zeros((0, 0), np.float32), count, self.light,
-        )  # fmt: skip
+        image.shading.shade(self, hierarchy, count)
         self._background(bounds)
-        self._write(bounds, frame, count)
+        self._write(bounds, hierarchy, frame)
 
-    def _write(self, bounds, frame: Frame, count: int) -> None:
+    def placement_values(self, hierarchy: Hierarchy):
+        """What instances say about the tile's placements, a row each."""
+        rows = int(self.scratch.used[1])
+        if len(self.placed.path) < rows:
+            self.placed = allocate_placement_values(2 * rows)
+        combine_placements(self.scratch.transforms, hierarchy.instances, np.int64(rows), self.placed)
+        return self.placed
+
+    def _write(self, bounds, hierarchy: Hierarchy, frame: Frame) -> None:
         """All passes of the tile."""
         image, f, s = self.image, self.fragments, self.image.subpixels
         x0, y0 = image.region[:2]
@@ -214,30 +223,18 @@ class Workspace:
             elif name == "position":
                 block = (f.position[k] @ to_world[:, :3].T + to_world[:, 3]) * seen[..., None]
             elif name == "object_index":
-                block = (image.object_index(self.scratch, f.row[k]) * seen)[..., None]
+                block = np.zeros((rows, columns, 1), np.float32)
+                block[seen, 0] = self.placement_values(hierarchy).object_index[f.row[nearest[seen]]]
             elif name == "material_index":
-                block = (image.material_index[f.material[k]] * seen)[..., None]
+                block, of = np.zeros((rows, columns, 1), np.float32), nearest[seen]
+                material = np.zeros(len(of), np.int32)
+                materials_of(hierarchy.parts, f.part[of], f.triangle[of], material)
+                block[seen, 0] = image.material_index[material]
             elif name == "sample_count":
                 block = np.ones((rows, columns, 1))
             else:
                 continue
             target[where] = block
-
-    def _look_up_triangles(self, count: int) -> None:
-        f = self.fragments
-        rows = np.flatnonzero(~f.normal[:count].any(1))
-        if not len(rows):
-            return
-        width = np.zeros(len(rows), np.float32)
-        look = self.image.sampler.baker(
-            f.part[rows], f.triangle[rows], f.place[rows, 0], f.place[rows, 1], width
-        )
-        matrix = self.scratch.transforms.matrix[f.row[rows]].reshape(-1, 3, 4)[:, :, :3]
-        cofactors = np.stack([np.cross(matrix[:, (i + 1) % 3], matrix[:, (i + 2) % 3]) for i in range(3)], 1)
-        normal = (cofactors * look.normal[:, None, :]).sum(2)
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        f.normal[rows] = normal / np.where(length > 0, length, 1)
-        f.albedo[rows], f.emission[rows] = look.albedo, look.emission
 
     def _background(self, bounds) -> None:
         """World radiance of the tile's pixels that are not covered whole."""
@@ -257,7 +254,7 @@ class Workspace:
         else:
             d[:, :2] = 0
         world = d @ image.camera.world_from_camera[:, :3].T
-        self.background[y, x, :3] = image.sampler.environment.radiance(world)
+        self.background[y, x, :3] = image.sampler.environment.radiance(world, CAMERA)
         self.background[y, x, 3] = 1
 
 

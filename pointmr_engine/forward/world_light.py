@@ -1,0 +1,217 @@
+"""The world as a light without noise: its sun as a lamp, and the rest filtered for every roughness of a lobe.
+
+Maps hold rows of equal angle from straight down and columns of equal azimuth, one map for each of a few roughnesses, and
+one filtered with the cosine. A lobe's light is one lookup in the direction it faces, between the two nearest
+roughnesses (split-sum approximation; Karis, Real Shading in Unreal Engine 4, 2013).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.numerics.jit import device
+from pointmr_engine.raytracing.environment import Environment
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.scene.light import Light
+
+BASE = 1024  # columns of the sharpest map
+# halved maps, read between their texels, stand for lobes of these GGX roughnesses (alpha = 2.22 / columns) ...
+BLURRED = (0.1, 0.2, 0.4, 0.7, 1.0)  # ... and these are filtered with the lobe itself
+SOURCE = 64  # columns of the map that they are filtered from
+SMOOTHEST = 2.22
+
+
+class WorldMaps(NamedTuple):
+    """All maps of one kind of light, behind each other."""
+
+    texels: np.ndarray  # (T, 3) float32 radiance
+    first: (
+        np.ndarray
+    )  # (M + 1,) int64 row of each map's first texel; the last one is filtered with the cosine
+    width: np.ndarray  # (M + 1,) int64 columns; half as many rows
+    alpha: np.ndarray  # (M,) float64 GGX roughness that each map is filtered for, increasing
+
+
+class WorldLight:
+    """The world's maps for diffuse, glossy and transmitted light, and its suns as lamps."""
+
+    def __init__(self, environment: Environment):
+        self.suns: list[Light] = []
+        kinds = (DIFFUSE, GLOSSY, TRANSMISSION)
+        apart = "ray_kind" in environment.program.emission_needs
+        base = {}
+        for kind in kinds:
+            if environment.black or not environment.visibility & kind:
+                base[kind] = None
+            elif not apart and any(b is not None for b in base.values()):
+                base[kind] = next(b for b in base.values() if b is not None)
+            else:
+                base[kind] = _radiance_map(environment, kind)
+        if environment.map.sun[4] > 0.0 and base[DIFFUSE] is not None:
+            self._take_sun(environment, base)
+        made: dict[int, WorldMaps] = {}
+        for kind in kinds:
+            if id(base[kind]) not in made:
+                made[id(base[kind])] = _filtered(base[kind])
+        self.diffuse, self.glossy, self.transmission = (made[id(base[kind])] for kind in kinds)
+        texels = base[DIFFUSE]
+        self.mean = np.zeros(3)  # radiance over all directions
+        if texels is not None:
+            self.mean[:] = (texels * _solid_angle(texels.shape[1])).sum((0, 1)) / (4.0 * math.pi)
+
+    def _take_sun(self, environment: Environment, base: dict) -> None:
+        """Turn the disc of the sky's sun into a lamp: a map would give it the shape of its texels, and no shadow."""
+        sun = environment.map.sun
+        half = math.acos(1.0 - sun[3])
+        axes = _frame(sun[:3])
+        beside = math.cos(2.0 * half) * axes[2] + math.sin(2.0 * half) * axes[0]
+        found = environment.radiance(np.stack([sun[:3], beside]), DIFFUSE).astype(np.float64)
+        strength = np.maximum(found[0] - found[1], 0.0) * math.pi * math.sin(half) ** 2
+        peak = float(strength.max())
+        if not peak > 0.0:
+            return
+        frame = np.eye(4)
+        frame[:3, :3] = axes.T
+        self.suns.append(
+            Light(
+                "SUN", frame, tuple((strength / peak).tolist()), peak, angle=2.0 * half, name="sun of the sky"
+            )
+        )
+        for texels in {id(b): b for b in base.values() if b is not None}.values():
+            width = texels.shape[1]
+            close = _directions(width) @ sun[:3] > math.cos(half + 4.0 / width)
+            texels.reshape(-1, 3)[close] = found[1]
+
+
+def _frame(z: np.ndarray) -> np.ndarray:
+    """(3, 3): rows x, y, z of a frame about a unit direction."""
+    x = np.cross(z, (0.0, 0.0, 1.0) if abs(z[2]) < 0.9 else (1.0, 0.0, 0.0))
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def _directions(width: int) -> np.ndarray:
+    """(width / 2 * width, 3) unit directions of a map's texels."""
+    angle = (np.arange(width // 2) + 0.5) * (2.0 * math.pi / width)
+    azimuth = (np.arange(width) + 0.5) * (2.0 * math.pi / width) - math.pi
+    d = np.empty((width // 2, width, 3))
+    d[..., 0] = np.sin(angle)[:, None] * np.cos(azimuth)
+    d[..., 1] = np.sin(angle)[:, None] * np.sin(azimuth)
+    d[..., 2] = -np.cos(angle)[:, None]
+    return d.reshape(-1, 3)
+
+
+def _radiance_map(environment: Environment, kind: int) -> np.ndarray:
+    """(rows, columns, 3) float32."""
+    if environment.constant is not None:
+        return np.broadcast_to(np.asarray(environment.constant, np.float32), (2, 4, 3)).copy()
+    d = _directions(BASE)
+    out = np.empty((len(d), 3), np.float32)
+    for first in range(0, len(d), 1 << 16):
+        out[first : first + (1 << 16)] = environment.radiance(d[first : first + (1 << 16)], kind)
+    return out.reshape(BASE // 2, BASE, 3)
+
+
+def _filtered(base: np.ndarray | None) -> WorldMaps:
+    """All maps made from the sharpest one (None: black)."""
+    if base is None:
+        base = np.zeros((2, 4, 3), np.float32)
+    maps, alpha = [base], [0.0]
+    while maps[-1].shape[1] > SOURCE:
+        maps.append(_halved(maps[-1]))
+        alpha.append(SMOOTHEST / maps[-1].shape[1])
+    source = maps[-1]
+    for a in BLURRED if source.shape[1] > 4 else ():
+        maps.append(_lobe_filtered(source, SOURCE if a < 0.3 else SOURCE // 2, a))
+        alpha.append(a)
+    maps.append(source if source.shape[1] <= 4 else _lobe_filtered(source, SOURCE // 2, None))
+    sizes = np.array([m.shape[0] * m.shape[1] for m in maps], np.int64)
+    return WorldMaps(
+        np.ascontiguousarray(np.concatenate([m.reshape(-1, 3) for m in maps]), np.float32),
+        np.cumsum(sizes) - sizes,
+        np.array([m.shape[1] for m in maps], np.int64),
+        np.array(alpha),
+    )
+
+
+def _solid_angle(width: int) -> np.ndarray:
+    """(rows, 1, 1) of a texel."""
+    return (np.diff(-np.cos(np.linspace(0.0, math.pi, width // 2 + 1))) * (2.0 * math.pi / width))[
+        :, None, None
+    ]
+
+
+def _halved(texels: np.ndarray) -> np.ndarray:
+    weighted = texels * _solid_angle(texels.shape[1])
+    h, w = texels.shape[:2]
+    total = weighted.reshape(h // 2, 2, w // 2, 2, 3).sum((1, 3))
+    return (total / _solid_angle(w // 2)).astype(np.float32)
+
+
+def _lobe_filtered(source: np.ndarray, width: int, alpha: float | None) -> np.ndarray:
+    """Means of `source` under a GGX lobe seen along its normal, or under the cosine."""
+    width = min(width, source.shape[1])
+    lights = _directions(source.shape[1]).astype(np.float32)
+    weight_of = np.repeat(_solid_angle(source.shape[1]).ravel(), source.shape[1]).astype(np.float32)
+    radiance = source.reshape(-1, 3)
+    facing = _directions(width).astype(np.float32)
+    out = np.empty((len(facing), 3), np.float32)
+    for first in range(0, len(facing), 256):
+        cosine = facing[first : first + 256] @ lights.T
+        weight = np.maximum(cosine, 0.0)
+        if alpha is not None:
+            half2 = 0.5 * (1.0 + np.clip(cosine, -1.0, 1.0))  # squared cosine to the half vector
+            weight /= (half2 * (alpha * alpha - 1.0) + 1.0) ** 2
+        weight *= weight_of
+        weight /= weight.sum(1, keepdims=True)
+        out[first : first + 256] = weight @ radiance
+    return out.reshape(width // 2, width, 3)
+
+
+@device
+def _texel(maps, m, x, y, z):
+    """Radiance of map m in the unit direction, between its four nearest texels."""
+    width = maps.width[m]
+    height = width >> 1
+    u = (math.atan2(y, x) * (0.5 / math.pi) + 0.5) * width - 0.5
+    v = math.acos(min(max(-z, -1.0), 1.0)) * (height / math.pi) - 0.5
+    u0, v0 = math.floor(u), math.floor(v)
+    s, t = u - u0, v - v0
+    i = np.int64(u0)
+    i = i + width if i < 0 else i
+    j = i + 1 if i + 1 < width else np.int64(0)
+    low = min(max(np.int64(v0), np.int64(0)), height - 1)
+    high = min(max(np.int64(v0) + 1, np.int64(0)), height - 1)
+    a, b = maps.first[m] + low * width, maps.first[m] + high * width
+    w00, w01, w10, w11 = (1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t
+    e = maps.texels
+    return (
+        w00 * e[a + i, 0] + w01 * e[a + j, 0] + w10 * e[b + i, 0] + w11 * e[b + j, 0],
+        w00 * e[a + i, 1] + w01 * e[a + j, 1] + w10 * e[b + i, 1] + w11 * e[b + j, 1],
+        w00 * e[a + i, 2] + w01 * e[a + j, 2] + w10 * e[b + i, 2] + w11 * e[b + j, 2],
+    )
+
+
+@device
+def world_irradiance(maps, x, y, z):
+    """Irradiance over pi (rgb) of a surface that faces the unit direction."""
+    return _texel(maps, np.int64(len(maps.alpha)), x, y, z)
+
+
+@device
+def world_lobe(maps, alpha, x, y, z):
+    """Mean radiance (rgb) of a lobe of GGX roughness alpha about the unit direction."""
+    m, last = np.int64(0), np.int64(len(maps.alpha) - 1)
+    while m < last and maps.alpha[m + 1] <= alpha:
+        m += 1
+    a = _texel(maps, m, x, y, z)
+    if m == last:
+        return a
+    t = (alpha - maps.alpha[m]) / (maps.alpha[m + 1] - maps.alpha[m])
+    if t <= 0.0:
+        return a
+    b = _texel(maps, m + 1, x, y, z)
+    return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
