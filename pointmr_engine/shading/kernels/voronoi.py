@@ -121,6 +121,8 @@ def smooth_nearest(dimensions, metric, exponent, smoothness, randomness, cell, l
                         h = 1.0
                     else:
                         t = min(max(0.5 + 0.5 * (octave[0] - r) / smoothness, 0.0), 1.0)
+                        if t == 0.0:  # too far to count
+                            continue
                         h = t * t * (3.0 - 2.0 * t)
                     correction = smoothness * h * (1.0 - h)
                     octave[0] += h * (r - octave[0]) - correction
