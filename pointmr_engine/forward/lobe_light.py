@@ -12,7 +12,7 @@ import numpy as np
 
 from pointmr_engine.forward.world_light import world_irradiance, world_lobe
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.raytracing.lamps import DISC, DISTANT, POINT, SPHERE, SUN, sample_lamp
+from pointmr_engine.raytracing.lamps import DISTANT, POINT, sample_lamp
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
@@ -79,11 +79,7 @@ def widen_by_normals(lobes, spread, alpha, count):
 def _whole_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive):
     """(direction to a lamp's middle, solid angle that its radiance fills; 0 for delta lamps, its light): its scale."""
     shape = lamps.shape[i]
-    if shape == SUN or shape == SPHERE or shape == DISC:
-        # the middle of the cone is no corner of the unit square: u1 = 0 is its axis
-        dx, dy, dz, _, pdf, scale = sample_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive, 0.0, 0.0)
-    else:
-        dx, dy, dz, _, pdf, scale = sample_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive, 0.5, 0.5)
+    dx, dy, dz, _, pdf, scale = sample_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive, 0.5, 0.5)
     if not pdf > 0.0:
         return dx, dy, dz, 0.0, 0.0
     if shape == POINT or shape == DISTANT:

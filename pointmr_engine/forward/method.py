@@ -20,6 +20,7 @@ from pointmr_engine.forward.fragments import (
 )
 from pointmr_engine.forward.lambert import SimpleShading
 from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
+from pointmr_engine.forward.shadow_map import ShadowMaps
 from pointmr_engine.forward.subpixels import allocate_target, clear, make_view
 from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
 from pointmr_engine.forward.world_light import WorldLight
@@ -78,6 +79,7 @@ class Image:
         self.scene_lights = [*scene.lights, *sampler.world_light.suns]
         self.lamps = compile_lamps(self.scene_lights)[0]
         self.shading = _shading(self)
+        self.shadows = options.shadows and bool(self.lamps.cast_shadow.any())
         self.region = settings.region or (0, 0, settings.width, settings.height)
         index = [0 if m is None else m.pass_index for m in sampler.geometry.materials]
         self.material_index = np.array(index, np.float32)
@@ -134,6 +136,7 @@ class Workspace:
         self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
         self.shaded = 0
         self.shadow = np.zeros((0, 0), np.float32)  # (lamps, fragments) share of light that arrives; or nothing
+        self.shadow_maps = ShadowMaps(image) if image.shadows else None
         self.placed = allocate_placement_values(0)
         self.light = np.empty((side * side, 3), np.float32)
         self.lines = np.empty((side, TILE, 4), np.float32)
@@ -161,8 +164,8 @@ class Workspace:
         self.wanted[missing] = 0
         return missing
 
-    def shade(self, bounds, hierarchy: Hierarchy, frame: Frame) -> None:
-        """Shade what the tile shows, and filter it into the frame."""
+    def shade(self, bounds, hierarchy: Hierarchy, frame: Frame) -> np.ndarray | None:
+        """Shade what the tile shows, and filter it into the frame; returns the nodes whose sets shadows miss, as `draw`."""
         image, s = self.image, self.image.subpixels
         if len(self.fragment_of) < self.entries:
             self.fragment_of = np.empty(2 * self.entries, np.int32)
@@ -175,9 +178,15 @@ class Workspace:
             self.scratch.transforms, entries, f, count, self.corners,
         )  # fmt: skip
         self.shaded += count
+        if self.shadow_maps is not None:
+            missing = self.shadow_maps.trace(hierarchy, f, count, self.wanted)
+            if missing is not None:
+                return missing
+            self.shadow = self.shadow_maps.share
         image.shading.shade(self, hierarchy, count)
         self._background(bounds)
         self._write(bounds, hierarchy, frame)
+        return None
 
     def placement_values(self, hierarchy: Hierarchy):
         """What instances say about the tile's placements, a row each."""
@@ -285,7 +294,7 @@ def render_image(
         hierarchy = image.hierarchy()
         missing = local.space.draw(bounds, hierarchy)
         if missing is None:
-            local.space.shade(bounds, hierarchy, frame)
+            missing = local.space.shade(bounds, hierarchy, frame)
         return bounds, missing, (bounds[0] - x0, bounds[1] - y0)
 
     pool = ThreadPoolExecutor(image.settings.threads or os.cpu_count() or 1, thread_name_prefix="pointmr")
