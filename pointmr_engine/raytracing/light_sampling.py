@@ -86,12 +86,15 @@ def power_heuristic(pdf: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @uncounted
-def choose_lights(tree, position, normal, transmissive, u, out):
-    """First stage of `Lights.sample`: kind and index of a light for each point; its probability in out.pdf."""
+def choose_lights(tree, position, normal, transmissive, u, weights, out):
+    """First stage of `Lights.sample`: kind and index of a light for each point; its probability in out.pdf.
+
+    weights: scratch, float64, as long as tree.tops.
+    """
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
-        node, probability = choose_light(tree, px, py, pz, nx, ny, nz, transmissive[i], u[i, 0])
+        node, probability = choose_light(tree, px, py, pz, nx, ny, nz, transmissive[i], u[i, 0], weights)
         kind = NONE
         if node >= 0:
             light = tree.kind[node]

@@ -316,25 +316,29 @@ def _weigh(values, item, span, node, px, py, pz, nx, ny, nz, transmissive):
 
 
 @uncounted
-def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u):
-    """Choose a light's node: (node, probability); node -1 if nothing lights the point."""
+def choose_light(tree, px, py, pz, nx, ny, nz, transmissive, u, weights):
+    """Choose a light's node: (node, probability); node -1 if nothing lights the point. weights: scratch, as `tops`.
+
+    Each light has one interval of u, so that well spread numbers choose well spread lights.
+    """
     values, item, span, tops = tree.values, tree.item, tree.span, tree.tops
     total = 0.0
     chosen = np.int64(-1)
     weight = 0.0
     for k in range(len(tops)):
-        w = _weigh(values, item, span, np.int64(tops[k]), px, py, pz, nx, ny, nz, transmissive)
-        if w > 0.0:
-            total += w
-            share = w / total
-            if u < share:
-                chosen = np.int64(tops[k])
-                weight = w
-                u = u / share
-            else:
-                u = (u - share) / (1.0 - share)
+        weights[k] = _weigh(values, item, span, np.int64(tops[k]), px, py, pz, nx, ny, nz, transmissive)
+        total += weights[k]
+    u *= total
+    for k in range(len(tops)):
+        if weights[k] > 0.0:
+            chosen = np.int64(tops[k])
+            weight = weights[k]
+            if u < weight:
+                break
+            u -= weight
     if chosen < 0:
         return -1, 0.0
+    u = min(u / weight, 1.0 - 1e-15)
     probability = weight / total
     while values[chosen, KIND] == CLUSTER and item[chosen] >= 0:
         left = np.int64(item[chosen])

@@ -121,7 +121,8 @@ class Lights:
         """
         a, kind = self.arrays, None if turn is None else turn[0]
         if turn is None:
-            kernels.choose_lights(a.tree, position, normal, transmissive, u, out)
+            weights = np.empty(len(a.tree.tops))
+            kernels.choose_lights(a.tree, position, normal, transmissive, u, weights, out)
         else:
             for column, value in (
                 (out.kind, kind), (out.index, turn[1]), (out.pdf, 1.0), (out.pending, kind == WORLD), (out.triangle, -1)

@@ -522,8 +522,14 @@ def test_probabilities_of_all_lights_sum_to_one(n):
             q = np.array([light_tree.light_probability(tree, k, *args) for k in leaves])
             # where a cluster seems possible but none of its lights is, a choice fails: that share is missing
             assert q.sum() < 1.0 + 1e-9 and q.sum() > (1.0 - 1e-9 if n == 4 else 0.6)
-            chosen = [light_tree.choose_light(tree, *args, u) for u in (np.arange(400) + 0.5) / 400]
+            chosen = [
+                light_tree.choose_light(tree, *args, u, np.empty(len(tree.tops)))
+                for u in (np.arange(400) + 0.5) / 400
+            ]
             assert np.mean([node >= 0 for node, _ in chosen]) == pytest.approx(q.sum(), abs=0.02)
+            nodes = np.array([node for node, _ in chosen])
+            if n == 4:  # each light has one interval of u
+                assert (np.diff(nodes) != 0).sum() == len(np.unique(nodes)) - 1
             lookup = dict(zip(leaves, q, strict=True))
             for node, probability in chosen:
                 assert node < 0 or lookup[node] == pytest.approx(probability, rel=1e-9)
