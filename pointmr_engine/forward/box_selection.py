@@ -33,8 +33,11 @@ TINY = 0.5  # pixels: a box whose sides look no longer is taken whatever its dep
 TINY_AREA = (
     1.0  # pixels of area that such a box is sampled for at most, however much surface is folded into it
 )
-WIDE = 64.0  # pixels: a box that looks longer is not taken whole
-CUT = 8.0  # pixels: the same where it reaches out of the image
+WIDE = (
+    12.0  # pixels: a box that looks longer is not taken whole; smaller ones are hidden as a whole more often
+)
+CUT = 4.0  # pixels: the same where it reaches out of the image
+_RUN = 64.0
 
 
 class View(NamedTuple):
@@ -143,7 +146,7 @@ def select_boxes(octree: Octree, distribution: Distribution, view: View) -> Sele
                 triangles = TriangleList(*(_longer(a, kept) for a in triangles))
     _, rows, taken, kept, visited = (int(n) for n in work.used)
     boxes = Boxes(*(a[:taken] for a in boxes))
-    order = _front_to_back(boxes.nearest)
+    order = _front_to_back(boxes.nearest, boxes.area * view.limits[1])
     return Selection(
         Boxes(*(a[order] for a in boxes)),
         TriangleList(*(a[:kept] for a in triangles)),
@@ -155,12 +158,18 @@ def select_boxes(octree: Octree, distribution: Distribution, view: View) -> Sele
     )
 
 
-def _front_to_back(nearest: np.ndarray) -> np.ndarray:
-    """Order by depth in steps of a quarter octave; within them as the walk met them, which is near in space."""
+def _front_to_back(nearest: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Order by depth of runs of boxes that follow each other in the walk, and so in space, _RUN points each."""
     if not len(nearest):
         return np.zeros(0, np.int64)
-    step = np.clip(-4.0 * np.log2(np.maximum(nearest, 1e-30)), -400, 400).astype(np.int16)
-    return np.argsort(step, kind="stable")
+    run = np.floor(np.cumsum(expected) / _RUN).astype(np.int64)
+    starts = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
+    depth = np.maximum.reduceat(nearest, starts)
+    lengths = np.diff(np.append(starts, len(run)))
+    order = np.argsort(-depth, kind="stable")
+    lengths = lengths[order]
+    before = np.cumsum(lengths) - lengths
+    return np.repeat(starts[order] - before, lengths) + np.arange(len(nearest))
 
 
 def _longer(a: np.ndarray, needed: int) -> np.ndarray:
@@ -213,12 +222,8 @@ def _see_corner(view, x, y, z, out, seen):
 
 @uncounted
 def _reset(out):
-    out[0] = np.inf
-    out[1] = -np.inf
-    out[2] = np.inf
-    out[3] = np.inf
-    out[4] = -np.inf
-    out[5] = -np.inf
+    for k in range(6):
+        out[k] = np.inf if k in (0, 2, 3) else -np.inf
     out[6] = 0.0
 
 
@@ -309,8 +314,8 @@ def _take(view, boxes, used, row, first, end, area, out):
 
 
 @uncounted
-def _whole(view, distribution, node, row_scale, area, density, out):
-    """Whether a node can be sampled at one density."""
+def _whole(view, distribution, node, leaf, row_scale, area, density, out):
+    """Whether a node can be sampled at one density; leaf: it has triangles of its own only."""
     limits, region = view.limits, view.region
     near = view.camera.clip[0]
     if out[0] <= near and (view.camera.perspective[0] or out[0] < near):
@@ -325,7 +330,7 @@ def _whole(view, distribution, node, row_scale, area, density, out):
     if distribution.largest[node] * row_scale * density * limits[1] > limits[2]:
         return False
     cut = out[2] < region[0] or out[3] < region[1] or out[4] > region[2] or out[5] > region[3]
-    return wide <= (CUT if cut else WIDE)
+    return leaf or wide <= (CUT if cut else WIDE)
 
 
 @uncounted
@@ -352,8 +357,9 @@ def _walk(octree, distribution, tables, instances, view, boxes, triangles, trans
         group = np.int64(transforms.group[row])
         shift = distribution.shift[group]
         density = _density(view, out)
+        leaf = octree.child[node, 1] == 0 and octree.item[first, 0] >= 0
         area = (distribution.sums[end + shift] - distribution.sums[first + shift]) * work.scale[row] * density
-        if _whole(view, distribution, node, work.scale[row], area, density, out):
+        if _whole(view, distribution, node, leaf, work.scale[row], area, density, out):
             if area > 0.0:
                 if max(out[4] - out[2], out[5] - out[3]) <= TINY:
                     area = min(area, TINY_AREA)

@@ -32,22 +32,17 @@ from pointmr_engine.forward.point_draws import (
     Scratch,
     World,
     draw_blocks,
-    merge_buffers,
     resolve,
 )
 from pointmr_engine.forward.transforms import Transforms, allocate_transforms
 from pointmr_engine.hierarchy.distribution import Distribution, allocate_chain
 from pointmr_engine.hierarchy.octree import Octree
 from pointmr_engine.numerics.hashing import hash_path
-from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.errors import SceneError
 
 __all__ = ["PointSet", "Statistics", "draw_image", "make_view", "select_boxes"]
 
-TILE = 8  # pixels: side of the squares whose farthest depth culls boxes
-BATCHES = 8  # boxes are drawn in as many steps, each culled by the depths of those before
-_FEW = 1 << 16  # draws that are not worth a step
-_PIECE = 16  # blocks that a thread takes at a time
+_PIECE = 8  # blocks that a thread takes at a time
 _CHUNK = 1 << 14  # winners that are resolved at a time
 
 
@@ -69,10 +64,9 @@ class Statistics(NamedTuple):
 
     nodes: int  # looked at
     boxes: int  # taken
-    culled: int  # of them, hidden behind what was drawn before
     triangles: int  # to be rasterised
     expected: float  # points that the boxes expect
-    drawn: int  # points
+    drawn: int  # points that were not left out as hidden; the only count that depends on the threads' timing
 
 
 def draw_image(
@@ -89,14 +83,15 @@ def draw_image(
     """Draw the points of a selection, at selection.eye.limits' density.
 
     draws: "random", "stratified" or "poisson". cells: per side of a pixel; of each the nearest point is kept.
-    depth: (height, width) float32 of the view's region, rows from the bottom: inverse depths that points must surpass (0:
-    nothing there), such as those of the rasterised triangles. threads: 0: one per core; the result is the same.
-    Returns the points, the selection's transforms with rows added below, and counts. Culling boxes by depth changes no point.
+    depth: (height, width) float32 of the view's region, rows from the bottom: inverse depths that points must surpass
+    (0: nothing there), such as those of the rasterised triangles. threads: 0: one per core.
+    Returns the points, the selection's transforms with rows added below, and counts. Neither threads nor culling change
+    the points.
     Raises SceneError where more points are needed than can be numbered (2.7e8).
     """
     geometry, view = octree.geometry, selection.eye
     world = World(octree.arrays, distribution, geometry.tables, geometry.instances)
-    line = _line(selection, draws, seed)
+    line = _line(selection, draws, seed, occlusion_culling)
     threads = threads or os.cpu_count() or 1
     x0, y0, x1, y1 = (int(n) for n in view.region)
     buffer = np.zeros(((y1 - y0) * cells, (x1 - x0) * cells), np.uint64)
@@ -104,36 +99,32 @@ def draw_image(
         bits = np.ascontiguousarray(depth, np.float32).view(np.uint32).astype(np.uint64)
         taken = np.where(bits > 0, (bits << np.uint64(32)) | np.uint64(0xFFFFFFFF), np.uint64(0))
         buffer[:] = taken.repeat(cells, 0).repeat(cells, 1)
-    buffers = [buffer] + [buffer.copy() for _ in range(threads - 1)]
     scratch = [_scratch(geometry.depth) for _ in range(threads)]
-    drawn = 0
+    blocks = _Counter(0, int(-(-line.ends[-1] // BLOCK)))
+
+    def work(t):
+        return sum(
+            draw_blocks(
+                world, selection, line, np.int64(cells), buffer.reshape(-1), np.uint64(buffer.ctypes.data), scratch[t],
+                np.int64(start), np.int64(stop),
+            )
+            for start, stop in blocks
+        )  # fmt: skip
+
     with ThreadPoolExecutor(threads) as pool:
-        for low, high in _batches(line, occlusion_culling):
-            if low:
-                _cull(selection, line, buffer, cells, low, high)
-            blocks = _Counter(int(line.ends[low] // BLOCK), int(-(-line.ends[high] // BLOCK)))
-
-            def work(t, blocks=blocks, low=low, high=high):
-                points = 0
-                for start, stop in blocks:
-                    points += draw_blocks(
-                        world, selection, line, np.int64(cells), buffers[t].reshape(-1), scratch[t],
-                        np.int64(start), np.int64(stop), np.int64(low), np.int64(high),
-                    )  # fmt: skip
-                return points
-
-            drawn += sum(pool.map(work, range(threads)))
-            for other in buffers[1:]:
-                merge_buffers(buffer.reshape(-1), other.reshape(-1), np.int64(0), np.int64(buffer.size))
+        drawn = sum(pool.map(work, range(threads)))
         points, transforms = _resolved(world, selection, line, buffer, geometry.depth, scratch, pool)
-    boxes = len(selection.boxes.row)
     statistics = Statistics(
-        selection.visited, boxes, int(line.culled.sum()), len(selection.triangles.part), float(line.ends[-1]), drawn
-    )  # fmt: skip
+        selection.visited,
+        len(selection.boxes.row),
+        len(selection.triangles.part),
+        float(line.ends[-1]),
+        drawn,
+    )
     return points, transforms, statistics
 
 
-def _line(selection: Selection, draws: str, seed: int) -> Line:
+def _line(selection: Selection, draws: str, seed: int, culling: bool) -> Line:
     ends = np.concatenate([[0.0], np.cumsum(selection.boxes.area * selection.eye.limits[1])])
     total = float(ends[-1])
     blocks = int(-(-total // BLOCK))
@@ -151,7 +142,7 @@ def _line(selection: Selection, draws: str, seed: int) -> Line:
         if counts.max() >= PER_BLOCK:
             raise SceneError("the random numbers are broken: too many points in one block")
     kind = {"random": RANDOM, "poisson": RANDOM, "stratified": STRATIFIED}[draws]
-    return Line(ends, counts, np.int64(kind), key, np.zeros(len(ends) - 1, np.bool_))
+    return Line(ends, counts, np.int64(kind), key, np.int64(culling))
 
 
 def _scratch(levels: int) -> Scratch:
@@ -178,53 +169,6 @@ class _Counter:
             if start >= self._stop:
                 return
             yield start, min(start + _PIECE, self._stop)
-
-
-def _batches(line: Line, occlusion_culling: bool):
-    """Ranges of boxes of about the same expected number of points."""
-    count, total = len(line.ends) - 1, float(line.ends[-1])
-    if not count:
-        return
-    steps = min(BATCHES, int(total // _FEW)) if occlusion_culling else 1
-    cuts = np.searchsorted(line.ends, total * np.arange(1, max(steps, 1)) / max(steps, 1))
-    cuts = np.unique(np.concatenate([[0], np.minimum(cuts, count), [count]]))
-    yield from zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
-
-
-def _cull(selection: Selection, line: Line, buffer: np.ndarray, cells: int, low: int, high: int) -> None:
-    rows, columns = (-(-n // (TILE * cells)) for n in buffer.shape)
-    tiles = np.empty((rows, columns), np.float32)
-    _farthest(buffer, np.int64(TILE * cells), tiles)
-    _cull_boxes(selection.boxes, selection.eye.region, tiles, line.culled, np.int64(low), np.int64(high))
-
-
-@uncounted
-def _farthest(buffer, side, tiles):
-    """Least inverse depth of each square of side x side cells; 0 where one is empty."""
-    for r in range(tiles.shape[0]):
-        for c in range(tiles.shape[1]):
-            least = np.uint64(0xFFFFFFFFFFFFFFFF)
-            for y in range(r * side, min((r + 1) * side, buffer.shape[0])):
-                for x in range(c * side, min((c + 1) * side, buffer.shape[1])):
-                    least = min(least, buffer[y, x])
-            tiles[r, c] = np.uint32(least >> np.uint64(32)).view(np.float32)
-
-
-@uncounted
-def _cull_boxes(boxes, region, tiles, culled, low, high):
-    for k in range(low, high):
-        x0, y0 = (boxes.rectangle[k, 0] - region[0]) // TILE, (boxes.rectangle[k, 1] - region[1]) // TILE
-        x1 = (boxes.rectangle[k, 2] - 1 - region[0]) // TILE
-        y1 = (boxes.rectangle[k, 3] - 1 - region[1]) // TILE
-        hidden = True
-        for r in range(y0, y1 + 1):
-            for c in range(x0, x1 + 1):
-                if not tiles[r, c] > boxes.nearest[k]:
-                    hidden = False
-                    break
-            if not hidden:
-                break
-        culled[k] = hidden
 
 
 def _resolved(world, selection, line, buffer, levels, scratch, pool) -> tuple[PointSet, Transforms]:

@@ -4,9 +4,9 @@ All boxes, from front to back, lie side by side on one line, each as long as the
 block is a piece of that line; its positions are a function of seed and block alone:
 random - a fixed number of independent positions for the whole line, shared out among the blocks by the multinomial
 distribution; poisson - an independent, Poisson-distributed number in each block (so each box has one, too);
-stratified - one position in each unit of length. Each cell of the buffer keeps the largest (inverse depth, number of the
-draw), so the outcome does not depend on who draws what when; the winners alone are drawn a second time, with all they
-are.
+stratified - one position in each unit of length. Each cell of the buffer keeps the largest (inverse depth, number of
+the draw), so the outcome does not depend on who draws what when; the winners alone are drawn a second time, with all
+that belongs to them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from pointmr_engine.forward.box_selection import Selection
 from pointmr_engine.forward.projection import inverse_depth
 from pointmr_engine.forward.transforms import Transforms
 from pointmr_engine.hierarchy.distribution import Chain, draw, uniform
+from pointmr_engine.numerics.atomics import atomic_max_u64
 from pointmr_engine.numerics.hashing import hash_path
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import merged, uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 
 BLOCK = 256  # units of length in a block
@@ -46,7 +47,7 @@ class Line(NamedTuple):
     counts: np.ndarray  # (B,) int32 positions of each block; unused if stratified
     kind: int  # RANDOM or STRATIFIED
     key: int  # uint64 of the seed
-    culled: np.ndarray  # (K,) bool
+    culling: int  # int64: 1: boxes hidden by what was drawn before are left out
 
 
 class Scratch(NamedTuple):
@@ -126,7 +127,7 @@ def _enter_box(selection, scratch, k):
     chain.item[0] = -1
 
 
-@uncounted
+@merged
 def _draw_point(world, selection, line, scratch, k, x, key):
     """One point of box k: its level in the chain, and scratch.point; -1: refused, clipped or outside the region."""
     octree, view, chain = world.octree, selection.eye, scratch.chain
@@ -210,31 +211,46 @@ def _cell(view, cells, px, py):
 
 
 @uncounted
-def draw_blocks(
-    world: World, selection: Selection, line: Line, cells, buffer, scratch: Scratch, start, stop, low, high
-):
-    """Draw the blocks start..stop of the boxes low..high into `buffer`; returns the number of points drawn.
+def _hidden(selection, cells, buffer, k):
+    """Whether all cells that box k may touch hold something nearer than all of it."""
+    rectangle, region = selection.boxes.rectangle, selection.eye.region
+    width = (region[2] - region[0]) * cells
+    nearest = np.uint64(np.float32(selection.boxes.nearest[k]).view(np.uint32))
+    x0, x1 = (rectangle[k, 0] - region[0]) * cells, (rectangle[k, 2] - region[0]) * cells
+    for y in range((rectangle[k, 1] - region[1]) * cells, (rectangle[k, 3] - region[1]) * cells):
+        for cell in range(y * width + x0, y * width + x1):
+            if buffer[cell] >> np.uint64(32) <= nearest:
+                return False
+    return True
 
-    buffer: (cells,) uint64, rows from the bottom: the bits of the largest inverse depth, and below them those of the
-    draw's number, inverted; `cells` of them to a pixel's side.
+
+@uncounted
+def draw_blocks(
+    world: World, selection: Selection, line: Line, cells, buffer, address, scratch: Scratch, start, stop
+):
+    """Draw the blocks start..stop into `buffer`; returns the number of points drawn.
+
+    buffer: (cells,) uint64, rows from the bottom, at `address`: the bits of the largest inverse depth, and below them
+    those of the draw's number, inverted; `cells` of them to a pixel's side. Threads share it: updates are atomic, and a
+    box is left out when what happens to be there already hides it, which changes nothing but the work.
     """
     drawn = np.int64(0)
     for block in range(start, stop):
         n = positions(line, np.int64(block), scratch.at)
         key = hash_path(np.uint64(line.key), np.int64(-2 - block))
-        k, entered = np.int64(-1), np.int64(-1)
+        k, entered, hidden = np.int64(-1), np.int64(-1), False
         for i in range(n):
             x = scratch.at[i]
-            if x < line.ends[low]:
-                continue
-            if x >= line.ends[high]:
+            if x == np.inf:
                 break
             k = _box_at(line.ends, x, k)
-            if line.culled[k]:
-                continue
             if k != entered:
-                _enter_box(selection, scratch, k)
                 entered = k
+                hidden = line.culling != 0 and _hidden(selection, cells, buffer, k)
+                if not hidden:
+                    _enter_box(selection, scratch, k)
+            if hidden:
+                continue
             drawn += 1
             if _draw_point(world, selection, line, scratch, k, x, hash_path(key, np.int64(i))) < 0:
                 continue
@@ -243,15 +259,8 @@ def draw_blocks(
             number = _TAKEN - np.uint64(block * PER_BLOCK + i + 1)
             value = (np.uint64(bits) << np.uint64(32)) | number
             if value > buffer[cell]:
-                buffer[cell] = value
+                atomic_max_u64(address, cell, value)
     return drawn
-
-
-@uncounted
-def merge_buffers(into, other, start, stop):
-    """into[start:stop] = the nearer of both."""
-    for i in range(start, stop):
-        into[i] = max(into[i], other[i])
 
 
 @uncounted

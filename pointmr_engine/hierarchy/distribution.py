@@ -16,12 +16,13 @@ from numba import njit
 from pointmr_engine.hierarchy.nesting import area_scale, enter, placed_group
 from pointmr_engine.hierarchy.octree import Octree
 from pointmr_engine.numerics.hashing import hash_path
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import merged, uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_f64, pointer_i32
 
 _EXHAUSTED = (
     2.0**-24
 )  # of a random number's range: what is left when an item is chosen this narrow is drawn anew
+_QUARTERINGS = 3  # of a triangle: finer than the distance of its points, of which it has a few at most
 _BELOW_ONE = 1.0 - 2.0**-53
 _INV_2_53 = 2.0**-53
 _INV_2_32 = 2.0**-32
@@ -146,7 +147,7 @@ def uniform(key, number):
     return np.float64(hash_path(key, number) >> np.uint64(11)) * _INV_2_53
 
 
-@uncounted
+@merged
 def find_item(sums, shift, first, end, start, x):
     """The item i in first..end whose interval of sums holds x; quick if it is not far after `start`."""
     if start < first or start >= end or sums[start + shift] > x:
@@ -167,7 +168,31 @@ def find_item(sums, shift, first, end, start, x):
     return low
 
 
-@uncounted
+@merged
+def _place(u, bits, weights):
+    """Weights of vertices 1 and 2 of a point of a triangle: u in [0, 1) chooses a part of it, bits a point of the part.
+
+    Parts are quarters of quarters, so that u spread evenly are points spread evenly. Basu and Owen, Low discrepancy
+    constructions in the triangle (2015).
+    """
+    r = np.sqrt(np.float64(bits >> np.uint64(32)) * _INV_2_32)
+    s = np.float64(bits & np.uint64(0xFFFFFFFF)) * _INV_2_32
+    a, b, size = 1.0 / 3.0, 1.0 / 3.0, 1.0  # the part's centroid, and its side; negative: upside down
+    for _ in range(_QUARTERINGS):
+        u *= 4.0
+        part = np.int64(u)
+        u -= part
+        size *= 0.5
+        if part == 0:
+            size = -size
+        else:
+            a += size * ((1.0 if part == 1 else 0.0) - 1.0 / 3.0)
+            b += size * ((1.0 if part == 2 else 0.0) - 1.0 / 3.0)
+    weights[0] = a + size * (r * (1.0 - s) - 1.0 / 3.0)
+    weights[1] = b + size * (r * s - 1.0 / 3.0)
+
+
+@merged
 def draw(octree, distribution, tables, instances, first, end, u, key, chain, weights):
     """One random surface point of the items first..end of group chain.group[0]; O(levels * log n).
 
@@ -211,11 +236,8 @@ def draw(octree, distribution, tables, instances, first, end, u, key, chain, wei
         group = chain.group[level]
         root = octree.group_root[group]
         first, end = np.int64(octree.items[root, 0]), np.int64(octree.items[root, 3])
-    bits = hash_path(key, np.int64(0))
-    r = np.sqrt(np.float64(bits >> np.uint64(32)) * _INV_2_32)
-    s = np.float64(bits & np.uint64(0xFFFFFFFF)) * _INV_2_32
-    weights[0] = r * (1.0 - s)
-    weights[1] = r * s
+    whole = sums[i + 1 + shift] - sums[i + shift]
+    _place(min(max((x - sums[i + shift]) / whole, 0.0), _BELOW_ONE), hash_path(key, np.int64(0)), weights)
     if not chain.uniform[level]:
         grown = _area_growth(
             tables, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]), chain.matrix, level

@@ -1,19 +1,39 @@
 """Dynamic sampling: distribution lists, the dynamic octree, and points drawn from them for an image."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instanced import nest, random_mesh, random_transforms
+from instanced import nest, random_mesh, random_transforms, sphere
 
+from pointmr_engine.forward.dynamic import PointSet, draw_image, make_view, select_boxes
+from pointmr_engine.forward.point_image import (
+    depth_image,
+    holes,
+    interpolate_gaussian,
+    interpolate_nearest,
+    nearest_points,
+    visible_points,
+    window,
+)
+from pointmr_engine.forward.projection import inverse_depth, to_raster
+from pointmr_engine.hierarchy.acceleration import build_acceleration
 from pointmr_engine.hierarchy.distribution import build_distribution, draw_points
 from pointmr_engine.hierarchy.dynamic_octree import DynamicOctree
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.hierarchy.nesting import area_scale
 from pointmr_engine.hierarchy.octree import build_octree
+from pointmr_engine.raytracing import walk
+from pointmr_engine.raytracing.camera import camera_ray, compile_camera
+from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
+from pointmr_engine.scene.camera import Camera
 from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.group import Group, Instances
+from pointmr_engine.scene.mesh import Mesh
 from pointmr_engine.scene.scene import Scene
+from pointmr_engine.scene.settings import RenderSettings
 
 
 def compiled(root):
@@ -214,3 +234,210 @@ def test_the_dynamic_octree_refuses_what_it_cannot_hold():
     octree.delete(number)
     with pytest.raises(SceneError, match="not there"):
         octree.delete(number)
+
+
+def ball_field(rng, n=60, rings=40):
+    """Instances, nested twice and unevenly scaled, of a sphere of 3,000 triangles."""
+    p, t = sphere(rings, rings)
+    leaf = Group("ball", [Mesh("ball", p, t)])
+    pair = Group("pair", [], [Instances((leaf,), random_transforms(rng, 2, (0.3, 0.6), 0.8))])
+    m = random_transforms(rng, n, (0.5, 1.0), 6.0)
+    return Group("root", [], [Instances((pair, leaf), m, rng.integers(0, 2, n).astype(np.int32))])
+
+
+def view_of(
+    kind="PERSPECTIVE", distance=25.0, size=(64, 48), ppp=8.0, kept=np.inf, culling=False, clip=0.1, **values
+):
+    world = np.eye(4)
+    world[2, 3] = distance
+    camera = compile_camera(
+        Camera(world, kind, focal_length=40.0, ortho_scale=16.0, clip_start=clip, **values),
+        RenderSettings(width=size[0], height=size[1], method="forward"),
+    )
+    return make_view(camera, ppp, 0.5, kept, culling)
+
+
+def cast_at(acceleration, view, x, y):
+    """Inverse depths (N,) that rays through image positions find; 0: nothing."""
+    camera = view.camera
+    rays, hits = allocate_rays(len(x)), allocate_hits(len(x))
+    width, spread = np.empty(len(x), np.float32), np.empty(len(x), np.float32)
+    for k in range(len(x)):
+        camera_ray(camera, float(x[k]), float(y[k]), 0.5, 0.5, rays, k, width, spread)
+    walk.intersect(acceleration, rays, hits)
+    position = rays.origin + rays.direction * np.where(np.isfinite(hits.t), hits.t, 1.0)[:, None]
+    z = position @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    return np.where(np.isfinite(hits.t), [inverse_depth(camera, d) for d in z], 0.0)
+
+
+def position_of(geometry, octree, points, transforms):
+    """Camera-space positions (N, 3) from what the points say of themselves, and the chain of their transforms."""
+    a = octree.arrays
+    out = np.empty((len(points.x), 3))
+    for k in range(len(points.x)):
+        part, row = points.part[k], points.transform[k]
+        shape = geometry.shapes[geometry.tables.shape[part]]
+        p = shape.positions[shape.triangles[points.triangle[k]]].astype(float)
+        w = np.array([1.0 - points.u[k] - points.v[k], points.u[k], points.v[k]])
+        m = transforms.matrix[row].reshape(3, 4)
+        out[k] = m[:, :3] @ (w @ p + a.part_offset[part] - a.group_center[transforms.group[row]]) + m[:, 3]
+    return out
+
+
+@pytest.mark.parametrize("draws", ["random", "stratified", "poisson"])
+@pytest.mark.parametrize("kind", ["PERSPECTIVE", "ORTHOGRAPHIC"])
+def test_points_lie_on_the_surface_that_a_ray_sees_there(kind, draws):
+    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3)))
+    view = view_of(kind)
+    selection = select_boxes(octree, distribution, view)
+    points, transforms, statistics = draw_image(octree, distribution, selection, draws, 5)
+    assert statistics.triangles == 0 and len(points.x) > 500
+    assert (transforms.parent < np.arange(len(transforms.parent))).all()
+    camera = view.camera
+    p = position_of(geometry, octree, points, transforms)
+    raster = np.array([to_raster(camera, *q) for q in p])
+    assert np.abs(raster - np.column_stack([points.x, points.y])).max() < 1e-3
+    assert points.inverse_depth == pytest.approx(np.array([inverse_depth(camera, q[2]) for q in p]), rel=1e-5)
+    # never in front of the surface; mostly on it (the rest is at silhouettes, where a nearer one missed the pixel)
+    seen = cast_at(build_acceleration(geometry), view, points.x, points.y)
+    assert (points.inverse_depth <= seen * (1 + 1e-4) + 1e-6).mean() > 0.995
+    assert (points.inverse_depth >= seen * (1 - 1e-3) - 1e-6).mean() > 0.9
+
+
+def same(a, b):
+    return all((x == y).all() for x, y in zip(a, b, strict=True))
+
+
+@pytest.mark.parametrize("draws", ["random", "stratified", "poisson"])
+def test_neither_threads_nor_culling_change_a_point(draws):
+    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
+    view = view_of(ppp=12.0)
+    selection = select_boxes(octree, distribution, view)
+    reference = draw_image(octree, distribution, selection, draws, 5, False, threads=1)
+    for threads, culling in ((1, True), (2, True), (3, False)):
+        points, transforms, statistics = draw_image(
+            octree, distribution, selection, draws, 5, culling, threads=threads
+        )
+        assert same(points, reference[0]) and same(transforms, reference[1])
+        assert not culling or statistics.drawn < reference[2].drawn
+    other, _, _ = draw_image(octree, distribution, selection, draws, 6)
+    assert len(other.x) != len(reference[0].x) or not same(other, reference[0])
+
+
+def test_the_number_of_points_is_what_was_expected():
+    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
+    selection = select_boxes(octree, distribution, view_of())
+    expected = selection.boxes.area.sum() * 8.0
+    drawn = {
+        draws: draw_image(octree, distribution, selection, draws, 1, False)[2].drawn
+        for draws in ("random", "stratified", "poisson")
+    }
+    assert drawn["random"] == math.ceil(expected)
+    assert drawn["stratified"] == pytest.approx(expected, abs=1)
+    assert drawn["poisson"] == pytest.approx(expected, abs=6 * math.sqrt(expected))
+
+
+def test_large_and_near_triangles_are_kept():
+    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
+    view = view_of(distance=8.0, kept=3.0, clip=7.0)
+    selection = select_boxes(octree, distribution, view)
+    triangles, transforms = selection.triangles, selection.transforms
+    assert 0 < len(triangles.part) and 0 < len(selection.boxes.row)
+    listed = set(zip(triangles.transform.tolist(), triangles.triangle.tolist(), strict=True))
+    assert len(listed) == len(triangles.part)
+    a = octree.arrays
+    m = transforms.matrix.reshape(-1, 3, 4)
+    nearest = []
+    for part, triangle, row in zip(*triangles, strict=True):
+        shape = geometry.shapes[geometry.tables.shape[part]]
+        p = shape.positions[shape.triangles[triangle]] + a.part_offset[part]
+        q = (p - a.group_center[transforms.group[row]]) @ m[row, :, :3].T + m[row, :, 3]
+        nearest.append(q[:, 2].min())
+    assert min(nearest) < 7.0  # triangles through the near plane are here, too
+    # none is sampled as well
+    boxes = selection.boxes
+    single = boxes.interval[:, 1] - boxes.interval[:, 0] == 1
+    items = a.item[boxes.interval[single, 0]]
+    assert not listed & set(zip(boxes.row[single].tolist(), items[:, 1].tolist(), strict=True))
+
+
+def test_backface_culling_leaves_the_backs_of_mirrored_balls_out():
+    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 40))
+    everything, _, _ = draw_image(
+        octree, distribution, select_boxes(octree, distribution, view_of(ppp=30.0)), "stratified", 1
+    )
+    view = view_of(ppp=30.0, culling=True)
+    points, transforms, _ = draw_image(
+        octree, distribution, select_boxes(octree, distribution, view), "stratified", 1
+    )
+    assert 0.95 * len(everything.x) < len(points.x) <= 1.02 * len(everything.x)
+    m = transforms.matrix.reshape(-1, 3, 4)
+    for part, triangle, row in zip(points.part, points.triangle, points.transform, strict=True):
+        shape = geometry.shapes[geometry.tables.shape[part]]
+        p = shape.positions[shape.triangles[triangle]].astype(float)
+        center = p.mean(0)  # outwards, in a ball about its origin
+        normal = np.linalg.inv(m[row, :, :3]).T @ center
+        q = m[row, :, :3] @ (p.mean(0) + octree.arrays.part_offset[part]) + m[row, :, 3]
+        q -= m[row, :, :3] @ octree.arrays.group_center[transforms.group[row]]
+        assert normal @ q / np.linalg.norm(normal) / np.linalg.norm(q) < 0.1
+
+
+def test_what_lies_behind_given_depths_is_not_drawn():
+    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
+    selection = select_boxes(octree, distribution, view_of(ppp=12.0))
+    free, _, _ = draw_image(octree, distribution, selection, "stratified", 5)
+    depth = np.zeros((48, 64), np.float32)
+    depth[:, :32] = 1 / 24.0
+    points, _, _ = draw_image(octree, distribution, selection, "stratified", 5, depth=depth)
+    left = points.x < 32
+    assert (points.inverse_depth[left] > np.float32(1 / 24.0)).all()
+    assert left.sum() < (free.x < 32).sum() and (~left).sum() == (free.x >= 32).sum()
+
+
+def test_an_empty_scene_has_no_points():
+    geometry, octree, distribution = compiled(Group("nothing", []))
+    points, transforms, _ = draw_image(
+        octree, distribution, select_boxes(octree, distribution, view_of()), "random", 1
+    )
+    assert len(points.x) == 0 and len(transforms.record) == 0
+
+
+def test_images_of_points():
+    """A near plane of less than a point a pixel hides a far one."""
+    rng = np.random.default_rng(2)
+    camera = view_of().camera
+    n, region = 1800, (0, 0, 64, 48)
+    x, y = rng.random((2, 2 * n)).astype(np.float32) * np.array([[64], [48]], np.float32)
+    near = np.arange(2 * n) < n
+    z = np.where(near, 10.0, 20.0)
+    blank = np.zeros(2 * n, np.int32)
+    points = PointSet(x, y, (1 / z).astype(np.float32), blank, blank, x, y, blank)
+    nearest = nearest_points(points, region)
+    cell = np.floor(y).astype(int) * 64 + np.floor(x).astype(int)
+    for k in range(64 * 48):
+        here = np.flatnonzero(cell == k)
+        want = -1 if not len(here) else here[np.argmin(z[here])]
+        assert nearest.flat[k] == want
+    depth = depth_image(points, nearest)
+    side = window(n / (64 * 48))
+    assert side == 5
+    keep = visible_points(points, depth, region, camera, side)
+    assert keep[near].all() and keep[~near].mean() < 0.01
+    color = np.column_stack([near, x / 64]).astype(np.float32)
+    image = interpolate_nearest(nearest, keep, color)
+    assert image[nearest >= 0][:, 0].mean() < 0.99  # points behind were the nearest in some pixels: dropped
+    smooth, weight = interpolate_gaussian(points, keep, color, region)
+    covered = weight > 0.2
+    assert covered.mean() > 0.7 and smooth[covered][:, 0].min() > 0.99
+    centers = (np.arange(64) + 0.5) / 64
+    assert np.abs(smooth[:, :, 1] - centers)[covered].max() < 1.5 / 64
+
+
+def test_holes_are_found_but_not_beyond_silhouettes():
+    camera = view_of().camera
+    depth = np.full((20, 30), 1 / 30, np.float32)
+    depth[4:16, 5:20] = 1 / 20  # a square in front
+    assert not holes(depth, camera).any()
+    depth[8, 10], depth[12, 12] = 0.0, 1 / 30  # nothing; something behind
+    depth[17, 25] = 0.0
+    assert set(zip(*np.nonzero(holes(depth, camera)), strict=True)) == {(8, 10), (12, 12), (17, 25)}
