@@ -37,7 +37,9 @@ SIDE = 512  # texels of a map at most
 PER_PIXEL = 2.0  # texels over a pixel's footprint
 CLASS = 3.0  # fragments whose footprints differ by a larger factor get separate maps
 WIDEST = 14.0  # texels: the largest penumbra
-OFFSET = 1.0  # footprints: how far receivers are raised above their surface
+LIKELY = 0.5  # of the widest penumbra that a lamp could give: what a map's texels are made for ...
+COARSEST = 1.5  # ... if they need not be larger than so many footprints
+OFFSET, OFFSET_OF_TRIANGLES = 1.0, 0.25  # footprints: how far receivers are raised above their surface
 _WAITING = COUNTERS.index("waiting")
 
 
@@ -122,7 +124,14 @@ class ShadowMaps:
             for c in np.unique(kind):
                 here = kind == c
                 self._map(
-                    hierarchy, from_world, not distant, rows[here], float(size[here].min()), light, share, wanted
+                    hierarchy,
+                    from_world,
+                    not distant,
+                    rows[here],
+                    float(size[here].min()),
+                    light,
+                    share,
+                    wanted,
                 )
 
     def _map(self, hierarchy, from_world, perspective, rows, size, light, share, wanted) -> None:
@@ -132,7 +141,11 @@ class ShadowMaps:
         if perspective:
             flat = place[:, :2] / place[:, 2:]
             low[:2], high[:2] = flat.min(0), flat.max(0)
-        texel = size / PER_PIXEL
+        if perspective:
+            penumbra = LIKELY * light / low[2]
+        else:
+            penumbra = LIKELY * light * max(low[2] - self._nearest(from_world), 0.0)
+        texel = min(max(size / PER_PIXEL, penumbra / WIDEST), COARSEST * size)
         margin = 3.0 + (WIDEST if light > 0.0 else 0.0)
         extent = np.maximum(high[:2] - low[:2], texel)
         texels = np.maximum(extent / (SIDE - 2.0 * margin - 2.0), texel)
@@ -155,7 +168,16 @@ class ShadowMaps:
             wanted, True,
         )  # fmt: skip
         compare(
-            view, self.target.depth, sides[0], sides[1], rows, self.place, self.plane, self.flat, float(light), share
+            view,
+            self.target.depth,
+            sides[0],
+            sides[1],
+            rows,
+            self.place,
+            self.plane,
+            self.flat,
+            float(light),
+            share,
         )
 
     def _nearest(self, from_world: np.ndarray) -> float:
@@ -226,7 +248,7 @@ def receivers(from_camera, perspective, position, geometric, normal, width, coun
         f = 1.0
         if square > 0.0:
             f = min(max((math.sqrt(square) - 0.5) / 0.45, 0.0), 1.0)
-        h = OFFSET * width[k]
+        h = (OFFSET if square > 0.0 else OFFSET_OF_TRIANGLES) * width[k]
         place[k, 0] = px + h * (f * qx + (1.0 - f) * lx)
         place[k, 1] = py + h * (f * qy + (1.0 - f) * ly)
         place[k, 2] = pz + h * (f * qz + (1.0 - f) * lz)
@@ -316,7 +338,7 @@ def compare(view, depth, width, height, rows, place, plane, flat, light, share):
             else:
                 radius = light * (blocked - w) / view.depth_scale / texel
             radius = min(max(radius, 1.0), WIDEST)
-        steps = min(np.int64(math.ceil(radius)), np.int64(5))
+        steps = min(np.int64(math.ceil(radius)), np.int64(6))
         total, taps = 0.0, 0
         for b in range(-steps, steps + 1):
             for a in range(-steps, steps + 1):

@@ -22,6 +22,7 @@ BASE = 1024  # columns of the sharpest map
 BLURRED = (0.1, 0.2, 0.4, 0.7, 1.0)  # ... and these are filtered with the lobe itself
 SOURCE = 64  # columns of the map that they are filtered from
 SMOOTHEST = 2.22
+UNIFORM = 4  # columns of the map of a world that is the same everywhere
 
 
 class WorldMaps(NamedTuple):
@@ -107,7 +108,7 @@ def _directions(width: int) -> np.ndarray:
 def _radiance_map(environment: Environment, kind: int) -> np.ndarray:
     """(rows, columns, 3) float32."""
     if environment.constant is not None:
-        return np.broadcast_to(np.asarray(environment.constant, np.float32), (2, 4, 3)).copy()
+        return np.broadcast_to(np.asarray(environment.constant, np.float32), (UNIFORM // 2, UNIFORM, 3)).copy()
     d = _directions(BASE)
     out = np.empty((len(d), 3), np.float32)
     for first in range(0, len(d), 1 << 16):
@@ -118,16 +119,16 @@ def _radiance_map(environment: Environment, kind: int) -> np.ndarray:
 def _filtered(base: np.ndarray | None) -> WorldMaps:
     """All maps made from the sharpest one (None: black)."""
     if base is None:
-        base = np.zeros((2, 4, 3), np.float32)
+        base = np.zeros((UNIFORM // 2, UNIFORM, 3), np.float32)
     maps, alpha = [base], [0.0]
     while maps[-1].shape[1] > SOURCE:
         maps.append(_halved(maps[-1]))
         alpha.append(SMOOTHEST / maps[-1].shape[1])
     source = maps[-1]
-    for a in BLURRED if source.shape[1] > 4 else ():
+    for a in BLURRED if source.shape[1] > UNIFORM else ():
         maps.append(_lobe_filtered(source, SOURCE if a < 0.3 else SOURCE // 2, a))
         alpha.append(a)
-    maps.append(source if source.shape[1] <= 4 else _lobe_filtered(source, SOURCE // 2, None))
+    maps.append(source if source.shape[1] <= UNIFORM else _lobe_filtered(source, SOURCE // 2, None))
     sizes = np.array([m.shape[0] * m.shape[1] for m in maps], np.int64)
     return WorldMaps(
         np.ascontiguousarray(np.concatenate([m.reshape(-1, 3) for m in maps]), np.float32),
@@ -175,6 +176,12 @@ def _lobe_filtered(source: np.ndarray, width: int, alpha: float | None) -> np.nd
 def _texel(maps, m, x, y, z):
     """Radiance of map m in the unit direction, between its four nearest texels."""
     width = maps.width[m]
+    if width == UNIFORM:
+        return (
+            np.float64(maps.texels[0, 0]),
+            np.float64(maps.texels[0, 1]),
+            np.float64(maps.texels[0, 2]),
+        )
     height = width >> 1
     u = (math.atan2(y, x) * (0.5 / math.pi) + 0.5) * width - 0.5
     v = math.acos(min(max(-z, -1.0), 1.0)) * (height / math.pi) - 0.5
