@@ -43,6 +43,7 @@ class SimpleShading:
         matrix = space.scratch.transforms.matrix[f.row[rows]].reshape(-1, 3, 4)[:, :, :3]
         cofactors = np.stack([np.cross(matrix[:, (i + 1) % 3], matrix[:, (i + 2) % 3]) for i in range(3)], 1)
         normal = (cofactors * look.normal[:, None, :]).sum(2)
+        normal *= np.sign((matrix[:, 0] * cofactors[:, 0]).sum(1, keepdims=True))  # mirrored spaces
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         f.normal[rows] = normal / np.where(length > 0, length, 1)
         f.albedo[rows], f.emission[rows] = look.albedo, look.emission
