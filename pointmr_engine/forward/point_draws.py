@@ -164,6 +164,8 @@ def _draw_point(world, selection, line, scratch, k, x, key):
         py /= z
     px = (px - camera.plane[0, 0]) / camera.plane[1, 0]
     py = (py - camera.plane[0, 1]) / camera.plane[1, 1]
+    # as it will be stored: rounding must not carry the only point of a pixel into the next
+    px, py = np.float64(np.float32(px)), np.float64(np.float32(py))
     region = view.region
     if not (region[0] <= px < region[2] and region[1] <= py < region[3]):
         return np.int64(-1)

@@ -319,6 +319,7 @@ def test_neither_threads_nor_culling_change_a_point(draws):
             octree, distribution, selection, draws, 5, culling, threads=threads
         )
         assert same(points, reference[0]) and same(transforms, reference[1])
+        assert (nearest_points(points, view.region) >= 0).sum() == len(points.x)  # one in each pixel, still
         assert not culling or statistics.drawn < reference[2].drawn
     other, _, _ = draw_image(octree, distribution, selection, draws, 6)
     assert len(other.x) != len(reference[0].x) or not same(other, reference[0])
