@@ -2,12 +2,12 @@
 
     python -m benchmarks.failure_probability [--seeds 4000] [--output docs/benchmarks/failure_probability.md]
 
-Instances of a bumpy sphere before a wall are drawn at the density that `sample_count` gives for a failure probability f,
-with one seed after another. A hole is a pixel whose nearest point lies deeper than the surface there, or that has no
-point at all. What the surface is, rays tell: 4 x 4 of them through each pixel, its corners among them. Only pixels count
-in which all of them hit the same placement at depths that differ little, since f is a promise for pixels that one
-surface covers; the depth allowed is the farthest of them. Nothing is drawn again. The bound counts a hole in any of all
-pixels; the share of images with a hole must not exceed f.
+Instances of a bumpy sphere before a wall are drawn at the density that `sample_count` gives for a failure
+probability f, with one seed after another. A hole is a pixel whose nearest point lies deeper than the surface there, or
+that has no point at all. What the surface is, rays tell: 4 x 4 of them through each pixel, its corners among them. Only
+pixels count in which all of them hit the same placement at depths that differ little, since f is a promise for pixels
+that one surface covers; the depth allowed is the farthest of them. Nothing is drawn again. The bound counts a hole in
+any of all pixels; the share of images with a hole must not exceed f.
 """
 
 from __future__ import annotations
