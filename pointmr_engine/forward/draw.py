@@ -8,16 +8,43 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.forward.subpixels import cover_ellipse, cover_triangle
-from pointmr_engine.hierarchy.surfels import AREA, NX, NY, NZ, XX, XY, XZ, YY, YZ, ZZ, X, Y, Z
+from pointmr_engine.forward.surfel_lanes import (
+    COFACTORS,
+    DEPTH_SCALE,
+    DEPTH_SHIFT,
+    FAR,
+    FOCAL_X,
+    FOCAL_Y,
+    FRONT,
+    GROW,
+    HEIGHT_OF_TILE,
+    MATRIX,
+    MIDDLE,
+    NEAR,
+    NEARNESS,
+    OPACITY,
+    PERSPECTIVE,
+    RADIUS,
+    SHIFT_X,
+    SHIFT_Y,
+    SLOPE_X,
+    SLOPE_Y,
+    STRETCH,
+    SX,
+    SY,
+    WIDTH_OF_TILE,
+    A,
+    B,
+    C,
+    place_eight,
+    shape_eight,
+)
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.pointers import load_f32, load_i32
+from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
+from pointmr_engine.numerics.simd_cover import farthest_row
 
-REACH = 2.2  # an ellipse's radii in standard deviations of its piece: 2, where a disk has its edge, and a tenth to close gaps
-SOLID = 1.25  # times a piece's projected area over its ellipse's: from 1 on it is drawn without gaps
-FLAT, ROUND = (
-    0.95,
-    0.5,
-)  # lengths of a mean normal from and below which a piece counts as flat and as all directions
+DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 
 
 class Entries(NamedTuple):
@@ -41,87 +68,88 @@ def to_target(view, x, y, z):
 
 
 @device
-def draw_set(view, target, width, height, left, low, matrix, row, scale, rows, first, count, entries, used):
-    """Draw surfels first..first + count under matrix[row]; returns the number of entries then used.
+def set_constants(view, width, height, left, low, matrix, row, scale, box, node, out):
+    """Fill `out` with what surfel_lanes reads of a placement, about the middle of the node's box."""
+    for k in range(3):
+        out[MIDDLE + k] = np.float32(0.5 * (np.float64(box[node, k]) + np.float64(box[node, 3 + k])))
+    for r in range(3):
+        at = 4 * r
+        moved = matrix[row, at + 3]
+        for c in range(3):
+            moved += matrix[row, at + c] * np.float64(out[MIDDLE + c])
+            out[MATRIX + at + c] = matrix[row, at + c]
+        out[MATRIX + at + 3] = moved
+    grow = 0.0
+    for r in range(3):
+        for c in range(3):
+            r1, r2, c1, c2 = (r + 1) % 3, (r + 2) % 3, (c + 1) % 3, (c + 2) % 3
+            value = (
+                matrix[row, 4 * r1 + c1] * matrix[row, 4 * r2 + c2]
+                - matrix[row, 4 * r1 + c2] * matrix[row, 4 * r2 + c1]
+            )
+            out[COFACTORS + 3 * r + c] = value
+            grow += value * value
+    out[GROW] = math.sqrt(grow / 3.0)  # how much areas grow that face all directions
+    out[FOCAL_X], out[FOCAL_Y] = view.scale_x, view.scale_y
+    out[SHIFT_X], out[SHIFT_Y] = view.shift_x - left, view.shift_y - low
+    out[WIDTH_OF_TILE], out[HEIGHT_OF_TILE] = width, height
+    out[NEAR], out[FAR] = view.near, min(view.far, 3e38)
+    out[PERSPECTIVE] = np.float32(1) if view.perspective else np.float32(0)
+    out[DEPTH_SHIFT], out[DEPTH_SCALE] = view.depth_shift, view.depth_scale
+    out[STRETCH] = scale
 
-    width, height: subpixels of the tile, whose corner is the image's subpixel (left, low). scale: the largest stretch of
-    the matrix. Entries must have room for `count` more.
+
+@device
+def _is_behind(target, width, height, x, y, radius, w):
+    """Whether what is drawn already is nearer than w everywhere in a surfel's bounds.
+
+    Exact, not sampled: a gap of a single subpixel that stayed open would keep everything behind it from being culled.
     """
-    m00, m01, m02, m03 = matrix[row, 0], matrix[row, 1], matrix[row, 2], matrix[row, 3]
-    m10, m11, m12, m13 = matrix[row, 4], matrix[row, 5], matrix[row, 6], matrix[row, 7]
-    m20, m21, m22, m23 = matrix[row, 8], matrix[row, 9], matrix[row, 10], matrix[row, 11]
-    c00, c01, c02 = m11 * m22 - m12 * m21, m12 * m20 - m10 * m22, m10 * m21 - m11 * m20
-    c10, c11, c12 = m21 * m02 - m22 * m01, m22 * m00 - m20 * m02, m20 * m01 - m21 * m00
-    c20, c21, c22 = m01 * m12 - m02 * m11, m02 * m10 - m00 * m12, m00 * m11 - m01 * m10
-    # how much areas grow that face all directions
-    grow = math.sqrt((c00 * c00 + c01 * c01 + c02 * c02 + c10 * c10 + c11 * c11 + c12 * c12
-                      + c20 * c20 + c21 * c21 + c22 * c22) / 3.0)  # fmt: skip
-    fx, fy = view.scale_x, view.scale_y
-    widest = 1.5 * REACH * max(fx, fy) * scale
-    for i in range(first, first + count):
-        x, y, z = np.float64(rows[i, X]), np.float64(rows[i, Y]), np.float64(rows[i, Z])
-        px = m00 * x + m01 * y + m02 * z + m03
-        py = m10 * x + m11 * y + m12 * z + m13
-        pz = m20 * x + m21 * y + m22 * z + m23
-        if not (pz > view.near and pz < view.far):
+    zero, one = np.float32(0), np.float32(1)
+    i0, i1 = np.int64(max(x - radius, zero)), np.int64(min(x + radius, width - one))
+    j0, j1 = np.int64(max(y - radius, zero)), np.int64(min(y + radius, height - one))
+    stride = np.int64(target.depth.shape[1])
+    if target.depth[(j0 + j1) >> 1, (i0 + i1) >> 1] <= w:
+        return False
+    count = (i1 - i0 + np.int64(WIDTH)) & ~np.int64(WIDTH - 1)
+    for j in range(j0, j1 + 1):
+        if farthest_row(target.address[0], j * stride + i0, count, np.float32(np.inf)) <= w:
+            return False
+    return True
+
+
+@device
+def draw_set(target, width, height, constants, lanes, address, row, first, count, entries, used, counters):
+    """Draw surfels first..first + count; returns the number of entries then used.
+
+    width, height: subpixels of the tile. constants: as set_constants left them; lanes (LANE_ROWS, 8) float32; address (3,) uint64: of
+    the surfels' rows, of `constants` and of `lanes`. Entries must have room for `count` more.
+    """
+    fw, fh = np.float32(width), np.float32(height)
+    for start in range(first, first + count, WIDTH):
+        mask = place_eight(address[0], start, address[1], address[2])
+        mask &= (np.int64(1) << min(np.int64(WIDTH), first + count - start)) - 1
+        seen = np.int64(0)
+        while mask != 0:
+            k = trailing_zeros(mask)
+            mask &= mask - 1
+            if not _is_behind(target, fw, fh, lanes[SX, k], lanes[SY, k], lanes[RADIUS, k], lanes[FRONT, k]):
+                seen |= np.int64(1) << k
+        if seen == 0:
             continue
-        sx, sy, w = to_target(view, px, py, pz)
-        sx -= left
-        sy -= low
-        xx, xy, xz = np.float64(rows[i, XX]), np.float64(rows[i, XY]), np.float64(rows[i, XZ])
-        yy, yz, zz = np.float64(rows[i, YY]), np.float64(rows[i, YZ]), np.float64(rows[i, ZZ])
-        size = math.sqrt(xx + yy + zz)
-        inverse = w if view.perspective else 1.0
-        reach = widest * size * inverse
-        if sx + reach < 0.0 or sy + reach < 0.0 or sx - reach > width or sy - reach > height:
-            continue
-        ux, uy = (px * w, py * w) if view.perspective else (0.0, 0.0)
-        kx, ky = fx * inverse, fy * inverse
-        a0, a1, a2 = kx * (m00 - ux * m20), kx * (m01 - ux * m21), kx * (m02 - ux * m22)
-        b0, b1, b2 = ky * (m10 - uy * m20), ky * (m11 - uy * m21), ky * (m12 - uy * m22)
-        v0, v1, v2 = a0 * xx + a1 * xy + a2 * xz, a0 * xy + a1 * yy + a2 * yz, a0 * xz + a1 * yz + a2 * zz
-        s_xx = v0 * a0 + v1 * a1 + v2 * a2
-        s_xy = v0 * b0 + v1 * b1 + v2 * b2
-        v0, v1, v2 = b0 * xx + b1 * xy + b2 * xz, b0 * xy + b1 * yy + b2 * yz, b0 * xz + b1 * yz + b2 * zz
-        s_yy = v0 * b0 + v1 * b1 + v2 * b2
-        nx, ny, nz = np.float64(rows[i, NX]), np.float64(rows[i, NY]), np.float64(rows[i, NZ])
-        gx = c00 * nx + c01 * ny + c02 * nz
-        gy = c10 * nx + c11 * ny + c12 * nz
-        gz = c20 * nx + c21 * ny + c22 * nz
-        facing = gx * px + gy * py + gz * pz if view.perspective else gz
-        # the piece's area in the image: exact for flat ones, half for those that face all directions
-        density = kx * ky * (inverse if view.perspective else 1.0)
-        length = math.sqrt(nx * nx + ny * ny + nz * nz)
-        flat = min(max((length - ROUND) / (FLAT - ROUND), 0.0), 1.0)
-        area = np.float64(rows[i, AREA])
-        seen = flat * abs(facing) * density + (1.0 - flat) * 0.5 * grow * kx * ky
-        det = s_xx * s_yy - s_xy * s_xy
-        opacity = 2.0
-        if det > 0.0:
-            ratio = area * seen / (4.0 * math.pi * math.sqrt(det))
-            if ratio * SOLID < 1.0 or flat < 1.0:
-                opacity = flat * ratio * SOLID + (1.0 - flat) * (1.0 - math.exp(-ratio))
-        q = REACH * REACH
-        slope_x = slope_y = 0.0
-        if flat > 0.5 and facing != 0.0:
-            if view.perspective:
-                slope_x, slope_y = gx / (facing * fx), gy / (facing * fy)
-                room = w * w * REACH * size * scale
-            else:
-                slope_x, slope_y = view.depth_scale * gx / (gz * fx), view.depth_scale * gy / (gz * fy)
-                room = view.depth_scale * REACH * size * scale
-            steep = REACH * (abs(slope_x) * math.sqrt(s_xx) + abs(slope_y) * math.sqrt(s_yy))
-            if steep > room:
-                slope_x *= room / steep
-                slope_y *= room / steep
-        phase = (np.int64(i) * np.int64(40503)) >> np.int64(7)
-        if cover_ellipse(
-            target, width, height, sx, sy, q * s_xx, q * s_xy, q * s_yy, w, slope_x, slope_y, used, opacity,
-            phase & np.int64(63),
-        ):  # fmt: skip
-            entries.surfel[used] = i
-            entries.row[used] = row
-            used += 1
+        shape_eight(address[0], start, address[1], address[2])
+        while seen != 0:
+            k = trailing_zeros(seen)
+            seen &= seen - 1
+            phase = ((start + k) * np.int64(40503)) >> np.int64(7)
+            counters[DRAWN] += 1
+            if cover_ellipse(
+                target, width, height, lanes[SX, k], lanes[SY, k], lanes[A, k], lanes[B, k], lanes[C, k],
+                lanes[NEARNESS, k], lanes[SLOPE_X, k], lanes[SLOPE_Y, k], used, lanes[OPACITY, k], phase & np.int64(63),
+            ):  # fmt: skip
+                entries.surfel[used] = start + k
+                entries.row[used] = row
+                used += 1
     return used
 
 

@@ -210,10 +210,9 @@ def is_hidden(target, width, height, x0, y0, x1, y1, nearness):
             for k in range(BLOCK):
                 row = j * BLOCK + k
                 if row < height:
-                    at = row * stride + i * BLOCK
-                    least = farthest_row(target.address[0], at, np.int64(BLOCK), least)
+                    least = farthest_row(target.address[0], row * stride + i * BLOCK, np.int64(BLOCK), least)
+                    if least <= nearness:
+                        return False
             target.farthest[j, i] = least
             target.stale[j, i] = 0
-            if least <= nearness:
-                return False
     return True

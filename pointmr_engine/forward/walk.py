@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries, corner, draw_set, draw_triangle
-from pointmr_engine.forward.subpixels import Target, View, is_hidden, mark_drawn
+from pointmr_engine.forward.cut_outs import cut_out_of, draw_cut_out
+from pointmr_engine.forward.draw import Entries, corner, draw_set, draw_triangle, set_constants
+from pointmr_engine.forward.subpixels import Target, View, clear, is_hidden, mark_drawn
+from pointmr_engine.forward.surfel_lanes import CONSTANTS, LANE_ROWS
 from pointmr_engine.forward.transforms import (
     Transforms,
     allocate_transforms,
@@ -26,19 +28,27 @@ from pointmr_engine.forward.transforms import (
 from pointmr_engine.hierarchy.octree import SPACING
 from pointmr_engine.hierarchy.sample_sets import NOT_YET
 from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.simd import WIDTH
 
 DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
 COUNTERS = (
-    "nodes", "outside", "hidden", "sets", "surfels", "triangles", "instances", "waiting",
+    "nodes", "outside", "hidden", "sets", "surfels", "triangles", "instances", "waiting", "drawn",
 )  # fmt: skip
 
 
 class Heap(NamedTuple):
-    """Boxes to visit, the nearest at the top."""
+    """Boxes to visit, the nearest at the top; what is known of each lies in a slot that is never used again."""
 
-    key: np.ndarray  # (H,) float64
-    node: np.ndarray  # (H,) int32
-    row: np.ndarray  # (H,) int32 of the transforms
+    key: np.ndarray  # (H,) float32: smallest depth
+    slot: np.ndarray  # (H,) int32
+    node: np.ndarray  # (S,) int32
+    row: np.ndarray  # (S,) int32 of the transforms
+    bounds: np.ndarray  # (S, 4) float32 subpixels in the tile
+
+
+def _heap(n: int) -> Heap:
+    i, f = np.int32, np.float32
+    return Heap(np.empty(n, f), np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty((n, 4), f))
 
 
 class Hierarchy(NamedTuple):
@@ -48,6 +58,7 @@ class Hierarchy(NamedTuple):
     sets: NamedTuple  # SetArrays
     parts: NamedTuple  # PartTables
     instances: NamedTuple  # BatchTables
+    cut_outs: NamedTuple  # CutOuts
 
 
 class Scratch:
@@ -56,20 +67,23 @@ class Scratch:
     def __init__(self, target: Target):
         self.target = target
         self.entries = Entries(np.empty(1 << 16, np.int64), np.empty(1 << 16, np.int32))
-        self.heap = Heap(np.empty(1 << 12), np.empty(1 << 12, np.int32), np.empty(1 << 12, np.int32))
+        self.heap = _heap(1 << 14)
         self.transforms = allocate_transforms(1 << 12)
         self.scale = np.empty(1 << 12)
         self.counters = np.zeros(len(COUNTERS), np.int64)
-        self.used = np.zeros(2, np.int64)  # entries, transforms
+        self.used = np.zeros(4, np.int64)  # entries, transforms; while walking: heap, its slots
         self.box = np.empty(6)
         self.bounds = np.empty(4)
         self.corners = np.empty((3, 3))
+        self.constants = np.zeros(CONSTANTS, np.float32)
+        self.lanes = np.zeros((LANE_ROWS, WIDTH), np.float32)
+        self.address = np.array([0, self.constants.ctypes.data, self.lanes.ctypes.data], np.uint64)
 
     def grow(self, status: int) -> None:
         if status == ENTRIES_FULL:
             self.entries = Entries(*(np.empty(2 * len(a), a.dtype) for a in self.entries))
         elif status == HEAP_FULL:
-            self.heap = Heap(*(np.empty(2 * len(a), a.dtype) for a in self.heap))
+            self.heap = _heap(2 * len(self.heap.key))
         else:
             self.transforms = grow_transforms(self.transforms, 0, 2 * len(self.transforms.parent))
             self.scale = np.empty(len(self.transforms.parent))
@@ -92,38 +106,38 @@ def walk(
     culling: leave out boxes that are hidden by what is drawn already.
     """
     before = scratch.counters.copy()
+    scratch.address[0] = hierarchy.sets.row.ctypes.data
     while True:
         status = _walk(
-            view, hierarchy, np.ascontiguousarray(camera_from_world[:3], np.float64), float(spacing), *(np.int64(b) for b in bounds),
-            scratch.target, scratch.entries, scratch.heap, scratch.transforms, scratch.scale, scratch.box,
-            scratch.bounds, scratch.corners, wanted, bool(culling), scratch.used, scratch.counters,
+            view, hierarchy, np.ascontiguousarray(camera_from_world[:3], np.float64), float(spacing),
+            *(np.int64(b) for b in bounds), scratch.target, scratch.entries, scratch.heap, scratch.transforms,
+            scratch.scale, scratch.box, scratch.bounds, scratch.corners, scratch.constants, scratch.lanes,
+            scratch.address, wanted, bool(culling), scratch.used, scratch.counters,
         )  # fmt: skip
         if status == DONE:
             return int(scratch.used[0])
         scratch.grow(status)
-        from pointmr_engine.forward.subpixels import clear
-
         clear(scratch.target, bounds[2] - bounds[0])
         scratch.counters[:] = before
 
 
 @device
-def _push(heap, size, key, node, row):
+def _push(heap, size, key, slot):
     at = size
     while at > 0:
         up = (at - 1) >> 1
         if heap.key[up] <= key:
             break
-        heap.key[at], heap.node[at], heap.row[at] = heap.key[up], heap.node[up], heap.row[up]
+        heap.key[at], heap.slot[at] = heap.key[up], heap.slot[up]
         at = up
-    heap.key[at], heap.node[at], heap.row[at] = key, node, row
+    heap.key[at], heap.slot[at] = key, slot
 
 
 @device
 def _pop(heap, size):
     """Take the top away; its values must have been read. size: before."""
     last = size - 1
-    key, node, row = heap.key[last], heap.node[last], heap.row[last]
+    key, slot = heap.key[last], heap.slot[last]
     at = np.int64(0)
     while True:
         child = 2 * at + 1
@@ -133,9 +147,9 @@ def _pop(heap, size):
             child += 1
         if heap.key[child] >= key:
             break
-        heap.key[at], heap.node[at], heap.row[at] = heap.key[child], heap.node[child], heap.row[child]
+        heap.key[at], heap.slot[at] = heap.key[child], heap.slot[child]
         at = child
-    heap.key[at], heap.node[at], heap.row[at] = key, node, row
+    heap.key[at], heap.slot[at] = key, slot
 
 
 @device
@@ -181,35 +195,38 @@ def _stretch(matrix, row):
 
 
 @device
-def _nearest(view, low):
-    return max(low, view.near) if view.perspective else low
-
-
-@device
 def _add(
-    view, hierarchy, heap, size, transforms, node, row, pad, box, bounds, left, low, width, height, counters
+    view, hierarchy, heap, sizes, transforms, node, row, pad, box, bounds, left, low, width, height, counters
 ):
-    """Put a node on the heap if it can be seen; returns the heap's size, -1 when it is full."""
+    """Put a node on the heap if it can be seen. sizes: of the heap, and slots used; False: no room."""
     box_to_camera(transforms.matrix, row, hierarchy.octree.box, node, box)
     counters[0] += 1
     if not bound_in_tile(view, box, pad, left, low, width, height, bounds):
         counters[1] += 1
-        return size
-    if size >= len(heap.key):
-        return np.int64(-1)
-    _push(heap, size, box[2], np.int32(node), np.int32(row))
-    return size + 1
+        return True
+    slot = sizes[1]
+    if slot >= len(heap.key):
+        return False
+    heap.node[slot] = node
+    heap.row[slot] = row
+    for k in range(4):
+        heap.bounds[slot, k] = bounds[k]
+    _push(heap, sizes[0], np.float32(box[2]), np.int32(slot))
+    sizes[0] += 1
+    sizes[1] += 1
+    return True
 
 
 @uncounted
 def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, target, entries, heap, transforms,
-          scale, box, bounds, corners, wanted, culling, used, counters):  # fmt: skip
+          scale, box, bounds, corners, constants, lanes, address, wanted, culling, used, counters):  # fmt: skip
     octree, sets = hierarchy.octree, hierarchy.sets
     width, height = right - left, high - low
     root = len(octree.group_root) - 1
-    used[0] = used[1] = 0
+    used[0] = used[1] = used[2] = used[3] = 0
     if root < 0 or octree.group_root[root] < 0:
         return DONE
+    sizes = used[2:4]
     # how much longer lengths become away from the view axis (talk: distortion factor), at the tile's farthest corner
     stretch = 1.0
     if view.perspective:
@@ -221,33 +238,23 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
     scale[0] = _stretch(transforms.matrix, np.int64(0))
     rows = np.int64(1)
     count = np.int64(0)
-    size = _add(view, hierarchy, heap, np.int64(0), transforms, np.int64(octree.group_root[root]), np.int64(0), 0.0,
-                box, bounds, left, low, width, height, counters)  # fmt: skip
-    while size > 0:
-        near, node, row = heap.key[0], np.int64(heap.node[0]), np.int64(heap.row[0])
-        _pop(heap, size)
-        size -= 1
+    top = np.int64(octree.group_root[root])
+    _add(view, hierarchy, heap, sizes, transforms, top, np.int64(0), octree.side[top] * SPACING * scale[0],
+         box, bounds, left, low, width, height, counters)  # fmt: skip
+    while sizes[0] > 0:
+        near, slot = np.float64(heap.key[0]), np.int64(heap.slot[0])
+        _pop(heap, sizes[0])
+        sizes[0] -= 1
+        node, row = np.int64(heap.node[slot]), np.int64(heap.row[slot])
+        x0, y0 = np.float64(heap.bounds[slot, 0]), np.float64(heap.bounds[slot, 1])
+        x1, y1 = np.float64(heap.bounds[slot, 2]), np.float64(heap.bounds[slot, 3])
         apart = octree.side[node] * SPACING * scale[row]
-        if culling and size + count > 0:
-            box_to_camera(transforms.matrix, row, octree.box, node, box)
-            bound_in_tile(view, box, apart, left, low, width, height, bounds)
-            hidden = False
+        if culling and count > 0:
+            front = near - apart
+            w = view.depth_shift - front * view.depth_scale
             if view.perspective:
-                if near - apart > view.near:
-                    hidden = is_hidden(
-                        target,
-                        width,
-                        height,
-                        bounds[0],
-                        bounds[1],
-                        bounds[2],
-                        bounds[3],
-                        1.0 / (near - apart),
-                    )
-            else:
-                w = view.depth_shift - (near - apart) * view.depth_scale
-                hidden = is_hidden(target, width, height, bounds[0], bounds[1], bounds[2], bounds[3], w)
-            if hidden:
+                w = 1.0 / front if front > view.near else math.inf
+            if is_hidden(target, width, height, x0, y0, x1, y1, w):
                 counters[2] += 1
                 continue
         own, large, own_end = octree.items[node, 0], octree.items[node, 1], octree.items[node, 2]
@@ -257,6 +264,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
             dense = near > 0.0 and projected <= spacing * near
         first = sets.sets[node, 0]
         drawn = large
+        before = count
         if dense and first == NOT_YET:
             wanted[node] = 1
             counters[7] += 1
@@ -264,18 +272,29 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
             n = sets.sets[node, 1]
             if count + n > len(entries.surfel):
                 return ENTRIES_FULL
+            set_constants(
+                view,
+                width,
+                height,
+                left,
+                low,
+                transforms.matrix,
+                row,
+                scale[row],
+                octree.box,
+                node,
+                constants,
+            )
             count = draw_set(
-                view, target, width, height, left, low, transforms.matrix, row, scale[row], sets.row, first, n,
-                entries, count,
-            )  # fmt: skip
+                target, width, height, constants, lanes, address, row, first, n, entries, count, counters
+            )
             counters[3] += 1
             counters[4] += n
         else:
             drawn = own_end
             for c in range(octree.child[node, 0], octree.child[node, 0] + octree.child[node, 1]):
-                size = _add(view, hierarchy, heap, size, transforms, np.int64(c), row, 0.5 * apart, box, bounds,
-                            left, low, width, height, counters)  # fmt: skip
-                if size < 0:
+                if not _add(view, hierarchy, heap, sizes, transforms, np.int64(c), row, 0.5 * apart, box, bounds,
+                            left, low, width, height, counters):  # fmt: skip
                     return HEAP_FULL
         for i in range(own, drawn):
             part, which = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
@@ -285,34 +304,34 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 group = compose(transforms, row, octree, hierarchy.instances, -1 - part, which, rows)
                 counters[6] += 1
                 scale[rows] = _stretch(transforms.matrix, rows)
-                before = size
-                size = _add(view, hierarchy, heap, size, transforms, np.int64(octree.group_root[group]), rows, 0.0,
-                            box, bounds, left, low, width, height, counters)  # fmt: skip
-                if size < 0:
+                slots = sizes[1]
+                start = np.int64(octree.group_root[group])
+                if not _add(view, hierarchy, heap, sizes, transforms, start, rows,
+                            octree.side[start] * SPACING * scale[rows], box, bounds, left, low, width, height,
+                            counters):  # fmt: skip
                     return HEAP_FULL
-                if size > before:
+                if sizes[1] > slots:
                     rows += 1
                 continue
             if count >= len(entries.surfel):
                 return ENTRIES_FULL
-            _to_camera(
-                transforms.matrix,
-                row,
-                octree,
-                hierarchy.parts,
-                part,
-                which,
-                np.int64(transforms.group[row]),
-                corners,
-            )
+            group = np.int64(transforms.group[row])
+            _to_camera(transforms.matrix, row, octree, hierarchy.parts, part, which, group, corners)
             counters[5] += 1
-            if draw_triangle(view, target, width, height, left, low, corners, count):
+            mask = cut_out_of(hierarchy.cut_outs, part, which)
+            if mask < 0:
+                shown = draw_triangle(view, target, width, height, left, low, corners, count)
+            else:
+                phase = ((np.int64(i) * np.int64(40503)) >> np.int64(7)) & np.int64(63)
+                shown = draw_cut_out(
+                    view, target, width, height, left, low, corners, count, hierarchy.cut_outs, mask, phase
+                )
+            if shown:
                 entries.surfel[count] = -1 - np.int64(i)
                 entries.row[count] = row
                 count += 1
-        box_to_camera(transforms.matrix, row, octree.box, node, box)
-        if bound_in_tile(view, box, apart, left, low, width, height, bounds):
-            mark_drawn(target, width, height, bounds[0], bounds[1], bounds[2], bounds[3])
+        if count > before:
+            mark_drawn(target, width, height, x0, y0, x1, y1)
     used[0] = count
     used[1] = rows
     return DONE

@@ -41,6 +41,7 @@ INSTANCES_OF_SET = (
 )
 PIECE = 0.5  # of the spacing: the size that triangles are cut to before samples are chosen
 CANDIDATE = 0.5  # of the spacing: the spacing of the surfels that stand for an instance among the candidates
+SLACK = 8  # rows past the last surfel that may be read, for kernels that take several at once
 CHUNK = 2_000_000  # candidates at once
 
 
@@ -94,7 +95,7 @@ class SampleSets:
         self._ends = np.zeros((len(a.group_root), 2), np.int64)  # nodes of each group
         order = np.argsort(a.group_root, kind="stable")
         order = order[a.group_root[order] >= 0]
-        ends = np.append(a.group_root[order][1:], len(a.box))
+        ends = np.append(a.group_root[order], len(a.box))[1:]
         for g, end in zip(order, ends, strict=True):
             self._ends[g] = a.group_root[g], end
             self.node_group[a.group_root[g] : end] = g
@@ -193,8 +194,8 @@ class SampleSets:
     def _room(self, n: int) -> Surfels:
         """Views of n further surfels at the end of the pool."""
         need = self.used + n
-        if need > len(self.surfels.row):
-            larger = allocate_surfels(max(need, 2 * len(self.surfels.row)))
+        if need + SLACK > len(self.surfels.row):
+            larger = allocate_surfels(max(need + SLACK, 2 * len(self.surfels.row)))
             for old, new in zip(self.surfels, larger, strict=True):
                 new[: self.used] = old[: self.used]
             self.surfels = larger

@@ -1,0 +1,193 @@
+"""Eight surfels at a time from their group's space into the image: places first, then, for those not hidden, ellipses.
+
+The constants of a set (a placement's matrix about the node's middle, the tile) are computed once in float64.
+"""
+
+from __future__ import annotations
+
+import math
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from pointmr_engine.hierarchy.surfels import AREA, COLUMNS, NX, NY, NZ, XX, XY, XZ, YY, YZ, ZZ, X, Y, Z
+from pointmr_engine.numerics.simd import WIDTH, _i64
+from pointmr_engine.numerics.simd_terms import Terms
+
+REACH = (
+    2.2  # radii of an ellipse in standard deviations of its piece: a disk's edge is at 2; a tenth closes gaps
+)
+SOLID = 1.25  # times a piece's projected area over its ellipse's: from 1 on it is drawn without gaps
+SURFACE, CLUMP = (
+    0.2,
+    0.6,
+)  # of 27 det V / (tr V)^3, 1 for a ball: up to where a piece is a surface; from where a clump
+DENSE = 1.5  # a clump's surfaces overlap less than chance would have it
+FLAT, ROUND = 0.95, 0.5  # mean normals of this length count as one direction, as all directions
+
+# the constants of a set
+(
+    MIDDLE, MATRIX, COFACTORS, GROW, FOCAL_X, FOCAL_Y, SHIFT_X, SHIFT_Y, WIDTH_OF_TILE, HEIGHT_OF_TILE, NEAR, FAR,
+    PERSPECTIVE, DEPTH_SHIFT, DEPTH_SCALE, STRETCH,
+) = 0, 3, 15, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35, 36  # fmt: skip
+CONSTANTS = 40
+
+# rows of eight that `place_eight` and `shape_eight` leave behind
+PX, PY, PZ, SX, SY, NEARNESS, RADIUS, FRONT, A, B, C, SLOPE_X, SLOPE_Y, OPACITY = range(14)
+LANE_ROWS = 14
+
+
+@intrinsic
+def place_eight(typingctx, rows, first, constants, out):
+    """Places of surfels first..first + 8; returns the mask of those in front of the camera and in the tile.
+
+    rows: address of float32 rows of surfels; constants: address of float32; out: address of LANE_ROWS rows of eight float32, of
+    which PX to FRONT are filled: camera space, subpixels in the tile, nearness, bounding radius, nearness of the front.
+    """
+    i = types.int64
+
+    def codegen(context, builder, signature, args):
+        t = Terms(builder)
+        data, k, target = t.pointer(args[0]), t.pointer(args[2]), t.pointer(args[3])
+
+        def column(c):
+            return t.gather(data, args[1], COLUMNS, c)
+
+        def constant(c):
+            return t.broadcast(k, c)
+
+        x, y, z = (column(c) - constant(MIDDLE + n) for n, c in enumerate((X, Y, Z)))
+        p = []
+        for r in range(3):
+            m = [constant(MATRIX + 4 * r + c) for c in range(4)]
+            p.append(m[3].plus_product(m[0], x).plus_product(m[1], y).plus_product(m[2], z))
+        perspective = constant(PERSPECTIVE) > 0.5
+        one = t.constant(1.0)
+        inverse = one / p[2]
+        depth = constant(DEPTH_SHIFT) - p[2] * constant(DEPTH_SCALE)
+        scale = inverse.where(perspective, 1.0)
+        sx = constant(SHIFT_X).plus_product(p[0] * scale, constant(FOCAL_X))
+        sy = constant(SHIFT_Y).plus_product(p[1] * scale, constant(FOCAL_Y))
+        size = ((column(XX) + column(YY)) + column(ZZ)).sqrt() * constant(STRETCH) * REACH
+        focal = constant(FOCAL_X).abs().at_least(constant(FOCAL_Y).abs())
+        # perspective makes what is off the view axis longer: at most by 1.5 in any view that is not a fisheye's
+        radius = size * focal * scale.abs()
+        front = p[2] - size
+        near = constant(NEAR)
+        nearness = (
+            (one / front)
+            .where(front > near, 3e38)
+            .where(perspective, constant(DEPTH_SHIFT) - front * constant(DEPTH_SCALE))
+        )
+        wide = radius * 1.5
+        mask = builder.and_(p[2] > near, p[2] < constant(FAR))
+        mask = builder.and_(mask, builder.and_((sx + wide) > 0.0, (sy + wide) > 0.0))
+        mask = builder.and_(
+            mask, builder.and_((sx - wide) < constant(WIDTH_OF_TILE), (sy - wide) < constant(HEIGHT_OF_TILE))
+        )
+        for row, term in (
+            (PX, p[0]),
+            (PY, p[1]),
+            (PZ, p[2]),
+            (SX, sx),
+            (SY, sy),
+            (RADIUS, radius),
+            (FRONT, nearness),
+        ):
+            t.store(term, target, row)
+        t.store(inverse.where(perspective, depth), target, NEARNESS)
+        return t.bits(mask)
+
+    return i(types.uint64, i, types.uint64, types.uint64), codegen
+
+
+@intrinsic
+def shape_eight(typingctx, rows, first, constants, out):
+    """Ellipses of the surfels that `place_eight` has placed: fills A to OPACITY.
+
+    A, B, C: the matrix [[a, b], [b, c]] whose inverse's unit level is the outline, in subpixels^2; SLOPE_*: growth of nearness per
+    subpixel; OPACITY: share of the outline's subpixels to be drawn, 1 or more: all.
+    """
+    i = types.int64
+
+    def codegen(context, builder, signature, args):
+        t = Terms(builder)
+        data, k, target = t.pointer(args[0]), t.pointer(args[2]), t.pointer(args[3])
+        zero = ir.Constant(_i64, 0)
+
+        def column(c):
+            return t.gather(data, args[1], COLUMNS, c)
+
+        def constant(c):
+            return t.broadcast(k, c)
+
+        def placed(row):
+            return t.gather(target, zero, 1, row * WIDTH)
+
+        px, py, pz, w = placed(PX), placed(PY), placed(PZ), placed(NEARNESS)
+        perspective = constant(PERSPECTIVE) > 0.5
+        scale = w.where(perspective, 1.0)
+        ux, uy = (px * w).where(perspective, 0.0), (py * w).where(perspective, 0.0)
+        kx, ky = constant(FOCAL_X) * scale, constant(FOCAL_Y) * scale
+        m = [[constant(MATRIX + 4 * r + c) for c in range(3)] for r in range(3)]
+        a = [kx * (m[0][c] - ux * m[2][c]) for c in range(3)]
+        b = [ky * (m[1][c] - uy * m[2][c]) for c in range(3)]
+        xx, xy, xz, yy, yz, zz = (column(c) for c in (XX, XY, XZ, YY, YZ, ZZ))
+
+        def times(v):
+            return (
+                (v[0] * xx).plus_product(v[1], xy).plus_product(v[2], xz),
+                (v[0] * xy).plus_product(v[1], yy).plus_product(v[2], yz),
+                (v[0] * xz).plus_product(v[1], yz).plus_product(v[2], zz),
+            )
+
+        def dot(p, q):
+            return (p[0] * q[0]).plus_product(p[1], q[1]).plus_product(p[2], q[2])
+
+        va, vb = times(a), times(b)
+        s_xx, s_xy, s_yy = dot(va, a), dot(va, b), dot(vb, b)
+        n = [column(c) for c in (NX, NY, NZ)]
+        cof = [[constant(COFACTORS + 3 * r + c) for c in range(3)] for r in range(3)]
+        g = [dot(cof[r], n) for r in range(3)]
+        facing = dot(g, (px, py, pz)).where(perspective, g[2])
+        length = dot(n, n).sqrt()
+        flat = ((length - ROUND) * (1.0 / (FLAT - ROUND))).at_least(0.0).at_most(1.0)
+        round_ = t.constant(1.0) - flat
+        # the piece's area in the image: exact for flat ones, half for those that face all directions
+        seen = kx * ky * (flat * facing.abs() * scale + round_ * constant(GROW) * 0.5)
+        det = (s_xx * s_yy - s_xy * s_xy).at_least(1e-30)
+        ratio = column(AREA) * seen.abs() / (det.sqrt() * (4.0 * math.pi))
+        # how much the piece is a surface, however curved, and not a clump: by its extent across (science 6.1: macro and micro)
+        minor = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+        third = (xx + yy + zz) * (1 / 3)
+        bulk = minor / (third * third * third).at_least(1e-37)
+        solid = ((t.constant(CLUMP) - bulk) * (1.0 / (CLUMP - SURFACE))).at_least(0.0).at_most(1.0)
+        # what a clump covers: 1 - exp(-DENSE ratio), to a per cent
+        thick = ratio * DENSE
+        series = t.constant(1 / 6) + thick * (1 / 24)
+        series = t.constant(1.0) + thick * (t.constant(1.0) + thick * (t.constant(0.5) + thick * series))
+        covered = t.constant(1.0) - t.constant(1.0) / series
+        opacity = solid * (ratio * SOLID).at_most(2.0) + (t.constant(1.0) - solid) * covered
+        unit = t.constant(1.0).where(perspective, constant(DEPTH_SCALE))
+        safe = facing.where(builder.and_(facing.abs() > 1e-30, solid > 0.5), 3e38)
+        slope_x, slope_y = unit * g[0] / (safe * constant(FOCAL_X)), unit * g[1] / (safe * constant(FOCAL_Y))
+        size = ((xx + yy) + zz).sqrt() * constant(STRETCH)
+        room = size * (w * w).where(perspective, constant(DEPTH_SCALE))
+        steep = (slope_x.abs() * s_xx.at_least(0.0).sqrt()).plus_product(
+            slope_y.abs(), s_yy.at_least(0.0).sqrt()
+        )
+        damp = (room / steep.at_least(1e-30)).at_most(1.0)
+        q = REACH * REACH
+        for row, term in (
+            (A, s_xx * q),
+            (B, s_xy * q),
+            (C, s_yy * q),
+            (SLOPE_X, slope_x * damp),
+            (SLOPE_Y, slope_y * damp),
+            (OPACITY, opacity),
+        ):
+            t.store(term, target, row)
+        return context.get_dummy_value()
+
+    return types.void(types.uint64, i, types.uint64, types.uint64), codegen
