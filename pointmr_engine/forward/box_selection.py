@@ -30,14 +30,10 @@ from pointmr_engine.numerics.pointers import pointer_f32, pointer_f64, pointer_i
 from pointmr_engine.raytracing.camera import CameraArrays
 
 TINY = 0.5  # pixels: a box whose sides look no longer is taken whatever its depths
-TINY_AREA = (
-    1.0  # pixels of area that such a box is sampled for at most, however much surface is folded into it
-)
-WIDE = (
-    12.0  # pixels: a box that looks longer is not taken whole; smaller ones are hidden as a whole more often
-)
+TINY_AREA = 1.0  # pixels of area that it is sampled for at most, however much surface is folded into it
+WIDE = 5.0  # pixels: a box that looks longer is not taken whole: small ones are hidden as a whole more often
 CUT = 4.0  # pixels: the same where it reaches out of the image
-_RUN = 64.0
+_RUN = 64.0  # points
 
 
 class View(NamedTuple):
