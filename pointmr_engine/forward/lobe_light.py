@@ -285,11 +285,11 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
 
 
 @uncounted
-def finish(lobes, holdout, entries, fragments, first, count, light, clear):
-    """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are not opaque.
+def finish(lobes, holdout, fragments, first, count, light, clear):
+    """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are held out.
 
-    light (F, 3): what arrived is there; what a surfel's area, or its share `clear` (F,) float32 of empty subpixels, accounts
-    for is taken out. Albedo and emission are written to the fragments.
+    light (F, 3): what arrived is there; the share that transparency leaves is taken out, since areas and cut-outs account for
+    it. clear (F,) float32: share of a fragment's subpixels to be emptied. Albedo and emission go to the fragments.
     """
     some = False
     for k in range(count):
@@ -301,16 +301,13 @@ def finish(lobes, holdout, entries, fragments, first, count, light, clear):
         held = min(max(np.float64(lobes.holdout[k]), 0.0), 1.0)
         if holdout[k]:
             held = 1.0 - t
-        if t > 0.999 and entries.surfel[fragments.entry[f]] >= 0:
-            t = 0.999
+        t = min(t, 0.999)
         scale = 1.0 / (1.0 - t) if t < 1.0 else 0.0
         if holdout[k]:
             scale = 0.0
         clear[f] = 0.0
-        if entries.surfel[fragments.entry[f]] < 0:
-            clear[f] = t
         if held > 0.0:
-            clear[f] = min(clear[f] + held, 1.0)
+            clear[f] = min(held, 1.0)
         some = some or clear[f] > 0.0
         for c in range(3):
             light[f, c] *= scale

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.forward.cut_out_cover import move_to_opaque
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import finish, open_clear, shade_lamps, shade_world, widen_by_normals
 from pointmr_engine.forward.placement_values import NEEDS
@@ -42,7 +43,7 @@ class FullShading:
     def shade(self, space, hierarchy, count: int) -> None:
         """Fill space.light[:count] with radiance towards the camera; fragments get their albedo, emission and normals.
 
-        Subpixels of fragments that let light through are emptied in the tile's ids.
+        Subpixels of fragments that hold out are emptied in the tile's ids.
         """
         if not hasattr(space, "shading"):
             space.shading = _Space(self)
@@ -66,6 +67,8 @@ class FullShading:
     def _shade_batch(self, space, own, hierarchy, values, first: int, n: int) -> bool:
         image, f = self.image, space.fragments
         first_, n_ = np.int64(first), np.int64(n)
+        if len(hierarchy.cut_outs.mask):
+            move_to_opaque(hierarchy.cut_outs, f, first_, n_)
         to_world = image.camera.world_from_camera
         place_fragments(
             image.view, image.pixel, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f, first_, n_,
@@ -97,9 +100,7 @@ class FullShading:
                 own.lobes, own.view.incoming, own.flat, self.shader.tables, world.diffuse, world.glossy,
                 world.transmission, n_, light,
             )  # fmt: skip
-        return finish(
-            own.lobes, own.hits.holdout, space.scratch.entries, f, first_, n_, space.light, own.clear
-        )
+        return finish(own.lobes, own.hits.holdout, f, first_, n_, space.light, own.clear)
 
 
 class _Space:

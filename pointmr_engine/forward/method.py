@@ -11,6 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 import numpy as np
 
 from pointmr_engine.forward.baking import Baker, materials_of
+from pointmr_engine.forward.cut_outs import build_cut_outs
 from pointmr_engine.forward.fragments import (
     allocate_fragments,
     fill_fragments,
@@ -25,7 +26,7 @@ from pointmr_engine.forward.subpixels import allocate_target, clear, make_view
 from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
 from pointmr_engine.forward.world_light import WorldLight
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.hierarchy.octree import build_octree
+from pointmr_engine.hierarchy.octree import build_octree, triangle_corners
 from pointmr_engine.hierarchy.sample_sets import SampleSets
 from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.raytracing.camera import CameraArrays
@@ -49,6 +50,8 @@ class Sampler:
         self.octree = build_octree(geometry, progress)
         self.baker = Baker(geometry, programs)
         self.environment = Environment(scene.world)
+        self.cut_outs = build_cut_outs(geometry, programs)
+        self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
         self.ambient = self.world_light.mean
         self.sets: dict[str, SampleSets] = {}
@@ -101,7 +104,14 @@ class Image:
     def hierarchy(self) -> Hierarchy:
         """The hierarchy as it is now; further sets may come."""
         geometry = self.sampler.geometry
-        return Hierarchy(self.sampler.octree.arrays, self.sets.arrays, geometry.tables, geometry.instances)
+        return Hierarchy(
+            self.sampler.octree.arrays,
+            self.sets.arrays,
+            self.sampler.corners,
+            geometry.tables,
+            geometry.instances,
+            self.sampler.cut_outs,
+        )
 
 
 def _shading(image: Image):
@@ -135,7 +145,9 @@ class Workspace:
         self.fragment_of = np.empty(1 << 16, np.int32)
         self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
         self.shaded = 0
-        self.shadow = np.zeros((0, 0), np.float32)  # (lamps, fragments) share of light that arrives; or nothing
+        self.shadow = np.zeros(
+            (0, 0), np.float32
+        )  # (lamps, fragments) share of light that arrives; or nothing
         self.shadow_maps = ShadowMaps(image) if image.shadows else None
         self.placed = allocate_placement_values(0)
         self.light = np.empty((side * side, 3), np.float32)
@@ -156,7 +168,7 @@ class Workspace:
         self.entries = walk(
             image.view, hierarchy, image.camera.camera_from_world, image.spacing,
             (self.left, self.low, self.left + self.width, self.low + self.height),
-            self.scratch, self.wanted, image.settings.forward.occlusion_culling,
+            self.scratch, self.wanted, image.settings.forward.occlusion_culling, s,
         )  # fmt: skip
         if counters[WAITING] == waiting:
             return None
@@ -174,7 +186,7 @@ class Workspace:
         width, height, s = np.int64(self.width), np.int64(self.height), np.int64(s)
         count = find_fragments(ids, width, height, s, entries, self.fragment_of, f)
         fill_fragments(
-            image.view, np.int64(self.left), np.int64(self.low), hierarchy.octree, hierarchy.sets, hierarchy.parts,
+            image.view, np.int64(self.left), np.int64(self.low), hierarchy.octree, hierarchy.sets, hierarchy.corners,
             self.scratch.transforms, entries, f, count, self.corners,
         )  # fmt: skip
         self.shaded += count

@@ -1,0 +1,91 @@
+"""Drawing triangles with holes into a tile's subpixels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.numerics.jit import device, uncounted
+
+OPAQUE = 192  # of 255: from here on a sample counts as opaque
+
+
+@device
+def cut_out_of(cut_outs, part, triangle):
+    """Row of the opacity of a part's triangle, -1 if it is opaque."""
+    first = cut_outs.first[part]
+    if first < 0:
+        return np.int64(-1)
+    return np.int64(cut_outs.mask[first + triangle])
+
+
+@device
+def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, phase):
+    """Draw a triangle as subpixels.cover_triangle does, but where opacity[mask] leaves holes; whether anything was written.
+
+    x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective.
+    """
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+    if area == 0.0 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:
+        return False
+    inverse = 1.0 / area
+    side = opacity.shape[1]
+    y0 = np.int64(max(math.ceil(min(y[0], y[1], y[2]) - 0.5), 0.0))
+    y1 = np.int64(min(math.ceil(max(y[0], y[1], y[2]) - 0.5) - 1.0, height - 1.0))
+    written = False
+    for j in range(y0, y1 + 1):
+        yc = j + 0.5
+        left, right = math.inf, -math.inf
+        for k in range(3):
+            n = k + 1 if k < 2 else 0
+            if (y[k] <= yc) != (y[n] <= yc):
+                at = x[k] + (yc - y[k]) * ((x[n] - x[k]) / (y[n] - y[k]))
+                left, right = min(left, at), max(right, at)
+        x0 = np.int64(max(math.ceil(left - 0.5), 0.0))
+        x1 = np.int64(min(math.ceil(right - 0.5) - 1.0, width - 1.0))
+        for i in range(x0, x1 + 1):
+            xc = i + 0.5
+            b1 = ((xc - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (yc - y[0])) * inverse
+            b2 = ((x[1] - x[0]) * (yc - y[0]) - (xc - x[0]) * (y[1] - y[0])) * inverse
+            nearness = w[0] + b1 * (w[1] - w[0]) + b2 * (w[2] - w[0])
+            if not nearness > target.depth[j, i]:
+                continue
+            u, v = b1, b2
+            if perspective:
+                u, v = b1 * w[1] / nearness, b2 * w[2] / nearness
+            p = min(max(np.int64(u * side), np.int64(0)), side - 1)
+            q = min(max(np.int64(v * side), np.int64(0)), side - 1)
+            if opacity[mask, q, p] > 255.0 * target.pattern[(j + (phase >> 3)) & 7, (i + phase) & 7]:
+                target.depth[j, i] = nearness
+                target.ids[j, i] = entry
+                written = True
+    return written
+
+
+@uncounted
+def move_to_opaque(cut_outs, fragments, first, count):
+    """Look at fragments first..first + count, where their place lies in a hole, at the nearest point that is opaque.
+
+    What is visible of them is opaque; a hole's colour is anybody's guess. fragments: Fragments; changes `place`.
+    """
+    side = cut_outs.opacity.shape[1]
+    for k in range(first, first + count):
+        mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
+        if mask < 0:
+            continue
+        u, v = np.float64(fragments.place[k, 0]) * side, np.float64(fragments.place[k, 1]) * side
+        i, j = min(np.int64(u), side - 1), min(np.int64(v), side - 1)
+        if cut_outs.opacity[mask, j, i] >= OPAQUE:
+            continue
+        best, bi, bj = math.inf, i, j
+        for q in range(side):
+            for p in range(side - q):
+                if cut_outs.opacity[mask, q, p] >= OPAQUE:
+                    dx, dy = p + 1.0 / 3.0 - u, q + 1.0 / 3.0 - v
+                    d = dx * dx + dy * dy
+                    if d < best:
+                        best, bi, bj = d, p, q
+        if best < math.inf:
+            fragments.place[k, 0] = (bi + 1.0 / 3.0) / side
+            fragments.place[k, 1] = (bj + 1.0 / 3.0) / side

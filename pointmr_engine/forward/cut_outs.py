@@ -1,0 +1,118 @@
+"""Triangles with holes: how opaque their materials are, sampled once over each triangle and tested at every subpixel.
+
+So a leaf on a card hides, and throws the shadow of, its own shape, however many lie behind each other. What is half
+transparent is drawn at a share of its subpixels (ordered dither). Triangles that look the same - equal texture
+coordinates under one material - share their samples.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.forward.cut_out_cover import cover_cut_out, cut_out_of  # noqa: F401
+from pointmr_engine.forward.draw import draw_triangle, to_target
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.layers import uv_layer
+from pointmr_engine.numerics.jit import device
+from pointmr_engine.raytracing.surface import points_at
+
+SAMPLES = 3_000_000  # at most, over all triangles
+FINEST = 64  # samples along a triangle's edge at most
+_CHUNK = 1 << 18
+
+
+class CutOuts(NamedTuple):
+    """Opacity over M different triangles, on lattices of R x R points: (i + j <= R - 1) barycentric weights of vertices 1, 2."""
+
+    first: np.ndarray  # (P,) int64 row of a part's triangle 0 in `mask`, -1: the part is opaque
+    mask: np.ndarray  # (K,) int32 row of `opacity`, -1: the triangle is opaque
+    opacity: np.ndarray  # (M, R, R) uint8; 255: opaque
+
+
+def build_cut_outs(geometry: Geometry, programs: list) -> CutOuts:
+    """The cut-outs of all parts whose materials let light through."""
+    first = np.full(len(geometry.parts), -1, np.int64)
+    masks, keys, sources = [], [], []
+    total = known = 0
+    for part, mesh in enumerate(geometry.parts):
+        n = len(mesh.triangles)
+        slots = geometry.tables.slot_material[geometry.tables.first_slot[part] :][
+            : geometry.tables.slots[part]
+        ]
+        if not n or all(programs[m].opaque for m in slots):
+            continue
+        slot = np.zeros(n, np.int64)
+        if mesh.material_index is not None and len(slots) > 1:
+            slot = np.clip(np.asarray(mesh.material_index, np.int64), 0, len(slots) - 1)
+        material = slots[slot]
+        mask = np.full(n, -1, np.int32)
+        for m in np.unique(material):
+            if programs[m].opaque:
+                continue
+            rows = np.flatnonzero(material == m)
+            which, inverse = _different(mesh, programs[m].transparency_needs, rows)
+            mask[rows] = known + inverse
+            known += len(which)
+            keys.append((part, int(m)))
+            sources.append(rows[which])
+        first[part] = total
+        masks.append(mask)
+        total += n
+    side = int(np.clip(math.sqrt(SAMPLES / max(known, 1)), 2, FINEST))
+    opacity = np.empty((known, side, side), np.uint8)
+    at = 0
+    for (part, m), triangles in zip(keys, sources, strict=True):
+        step = max(1, _CHUNK // (side * side))
+        for start in range(0, len(triangles), step):
+            chosen = triangles[start : start + step]
+            opacity[at : at + len(chosen)] = _sampled(geometry, programs[m], part, chosen, side)
+            at += len(chosen)
+    return CutOuts(first, np.concatenate(masks) if masks else np.zeros(0, np.int32), opacity)
+
+
+def _different(mesh, needs: frozenset, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(places in `rows` of triangles that differ, for each row its one of these), by what a material reads."""
+    layers = {need.partition(":")[2] for need in needs if need.partition(":")[0] in ("uv", "uv_footprint")}
+    if any(need.partition(":")[0] not in ("uv", "uv_footprint", "footprint") for need in needs):
+        return np.arange(len(rows)), np.arange(len(rows))
+    columns = [np.zeros((len(rows), 1), np.float32)]
+    for name in sorted(layers):
+        uv = uv_layer(mesh, name)
+        if uv is not None:
+            columns.append(np.asarray(uv, np.float32)[rows].reshape(len(rows), 6))
+    _, which, inverse = np.unique(np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True)
+    return which, inverse.ravel()
+
+
+def _sampled(geometry: Geometry, program, part: int, triangles: np.ndarray, side: int) -> np.ndarray:
+    """(n, side, side) uint8 opacity of triangles of a part."""
+    n = len(triangles)
+    v, u = np.meshgrid((np.arange(side) + 1 / 3) / side, (np.arange(side) + 1 / 3) / side, indexing="ij")
+    outside = u + v > 1.0
+    u, v = np.where(outside, 1.0 - u, u), np.where(outside, 1.0 - v, v)
+    u, v = np.tile(u.ravel(), n).astype(np.float32), np.tile(v.ravel(), n).astype(np.float32)
+    scene_wide = geometry.tables.first_triangle[part] + np.repeat(triangles, side * side).astype(np.int32)
+    count = len(u)
+    points = points_at(
+        geometry, np.full(count, part, np.int32), scene_wide, u, v, np.broadcast_to(np.eye(4)[:3], (count, 3, 4)),
+        program.transparency_needs,
+    )  # fmt: skip
+    clear = np.clip(program.transparency(points).mean(1), 0.0, 1.0)
+    return np.round((1.0 - clear) * 255.0).astype(np.uint8).reshape(n, side, side)
+
+
+@device
+def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_outs, mask, phase):
+    """Draw the triangle with corners (3, 3) in camera space where it is opaque; those that the near plane cuts are drawn whole."""
+    if corners[0, 2] < view.near or corners[1, 2] < view.near or corners[2, 2] < view.near:
+        return draw_triangle(view, target, width, height, left, low, corners, entry)
+    x0, y0, w0 = to_target(view, corners[0, 0], corners[0, 1], corners[0, 2])
+    x1, y1, w1 = to_target(view, corners[1, 0], corners[1, 1], corners[1, 2])
+    x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
+    return cover_cut_out(
+        target, width, height, view.perspective, (x0 - left, x1 - left, x2 - left), (y0 - low, y1 - low, y2 - low),
+        (w0, w1, w2), entry, cut_outs.opacity, mask, phase,
+    )  # fmt: skip
