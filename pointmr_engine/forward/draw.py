@@ -40,7 +40,6 @@ from pointmr_engine.forward.surfel_lanes import (
     shape_eight,
 )
 from pointmr_engine.numerics.jit import device
-from pointmr_engine.numerics.pointers import load_f32, load_i32
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
 from pointmr_engine.numerics.simd_cover import farthest_row
 
@@ -50,7 +49,8 @@ DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 class Entries(NamedTuple):
     """What was drawn into a tile and was the nearest somewhere, in the order of drawing."""
 
-    surfel: np.ndarray  # (E,) int64 row of the surfels; -1 - item of the octree for a triangle
+    # (E,) int64 row of the surfels; for a triangle -1 - (2 * item of the octree + 1 where it is small)
+    surfel: np.ndarray
     row: np.ndarray  # (E,) int32 row of the transforms
 
 
@@ -100,14 +100,14 @@ def set_constants(view, width, height, left, low, matrix, row, scale, box, node,
 
 
 @device
-def _is_behind(target, width, height, x, y, radius, w):
-    """Whether what is drawn already is nearer than w everywhere in a surfel's bounds.
+def box_is_behind(target, width, height, x0, y0, x1, y1, w):
+    """Whether what is drawn already is nearer than w everywhere in these bounds.
 
     Exact, not sampled: a gap of a single subpixel that stayed open would keep everything behind it from being culled.
     """
     zero, one = np.float32(0), np.float32(1)
-    i0, i1 = np.int64(max(x - radius, zero)), np.int64(min(x + radius, width - one))
-    j0, j1 = np.int64(max(y - radius, zero)), np.int64(min(y + radius, height - one))
+    i0, i1 = np.int64(max(x0, zero)), np.int64(min(x1, width - one))
+    j0, j1 = np.int64(max(y0, zero)), np.int64(min(y1, height - one))
     stride = np.int64(target.depth.shape[1])
     if target.depth[(j0 + j1) >> 1, (i0 + i1) >> 1] <= w:
         return False
@@ -133,7 +133,10 @@ def draw_set(target, width, height, constants, lanes, address, row, first, count
         while mask != 0:
             k = trailing_zeros(mask)
             mask &= mask - 1
-            if not _is_behind(target, fw, fh, lanes[SX, k], lanes[SY, k], lanes[RADIUS, k], lanes[FRONT, k]):
+            x, y, radius = lanes[SX, k], lanes[SY, k], lanes[RADIUS, k]
+            if not box_is_behind(
+                target, fw, fh, x - radius, y - radius, x + radius, y + radius, lanes[FRONT, k]
+            ):
                 seen |= np.int64(1) << k
         if seen == 0:
             continue
@@ -154,10 +157,17 @@ def draw_set(target, width, height, constants, lanes, address, row, first, count
 
 
 @device
-def corner(tables, part, triangle, vertex, offset, k):
-    """Coordinate k of a triangle's vertex, plus offset[k]; tables: PartTables."""
-    v = load_i32(tables.triangles[part], 3 * triangle + vertex)
-    return np.float64(load_f32(tables.positions[part], 3 * v + k)) + offset[k]
+def triangle_to_camera(matrix, row, corners, item, out):
+    """Corners (3, 3) in camera space of an item's triangle."""
+    for v in range(3):
+        x = np.float64(corners[item, 3 * v])
+        y = np.float64(corners[item, 3 * v + 1])
+        z = np.float64(corners[item, 3 * v + 2])
+        for r in range(3):
+            at = 4 * r
+            out[v, r] = (
+                matrix[row, at] * x + matrix[row, at + 1] * y + matrix[row, at + 2] * z + matrix[row, at + 3]
+            )
 
 
 @device

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries, corner
+from pointmr_engine.forward.draw import Entries, triangle_to_camera
 from pointmr_engine.forward.subpixels import EMPTY
 from pointmr_engine.hierarchy.surfels import NX, NY, NZ, RED, X, Y, Z
 from pointmr_engine.image.filters import filter_extent, filter_weight
@@ -63,8 +63,8 @@ def find_fragments(ids, width, height, subpixels, entries: Entries, fragment_of,
                     if e == EMPTY:
                         continue
                     k = np.int64(fragment_of[e])
-                    if k < first and entries.surfel[e] < 0:
-                        k = np.int64(-1)
+                    if k < first and entries.surfel[e] < 0 and entries.surfel[e] & 1 != 0:
+                        k = np.int64(-1)  # a triangle that is not small, in a new pixel
                     if k < 0:
                         k = count
                         out.entry[k] = e
@@ -111,11 +111,21 @@ def _cofactor_normal(m, row, x, y, z):
 
 @uncounted
 def fill_fragments(
-    view, left, low, octree, sets, parts, transforms, entries: Entries, fragments: Fragments, count, corners
+    view,
+    left,
+    low,
+    octree,
+    sets,
+    all_corners,
+    transforms,
+    entries: Entries,
+    fragments: Fragments,
+    count,
+    corners,
 ):
     """Attributes of fragments 0..count: of surfels from their rows; of triangles where the ray meets their plane.
 
-    corners: (3, 3) float64 to work in. Triangles get no shading normal or colour yet (normal is 0).
+    all_corners: of the octree's items; corners: (3, 3) float64 to work in. Triangles get no shading normal or colour yet (normal is 0).
     """
     m = transforms.matrix
     for k in range(count):
@@ -146,16 +156,9 @@ def fill_fragments(
             fragments.triangle[k] = sets.source[s, 1]
             fragments.place[k, 0], fragments.place[k, 1] = sets.place[s, 0], sets.place[s, 1]
             continue
-        i = -1 - s
+        i = (-1 - s) >> 1
         part, triangle = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
-        group = np.int64(transforms.group[row])
-        for v in range(3):
-            x = corner(parts, part, triangle, v, octree.part_offset[part], 0) - octree.group_center[group, 0]
-            y = corner(parts, part, triangle, v, octree.part_offset[part], 1) - octree.group_center[group, 1]
-            z = corner(parts, part, triangle, v, octree.part_offset[part], 2) - octree.group_center[group, 2]
-            for r in range(3):
-                at = 4 * r
-                corners[v, r] = m[row, at] * x + m[row, at + 1] * y + m[row, at + 2] * z + m[row, at + 3]
+        triangle_to_camera(m, row, all_corners, i, corners)
         dx, dy = _ray(view, left + fragments.x[k], low + fragments.y[k])
         u, v = _meet(view, corners, dx, dy)
         u, v = max(u, 0.0), max(v, 0.0)

@@ -138,11 +138,11 @@ def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope
 
 
 @device
-def _crossing(y, xa, ya, xb, yb):
-    """Where the edge meets row centre y: the same from both triangles that share it, whatever their order."""
+def _edge(xa, ya, xb, yb):
+    """(x, y, growth of x per row) of an edge, the same from both triangles that share it, whatever their order."""
     if ya > yb or (ya == yb and xa > xb):
         xa, ya, xb, yb = xb, yb, xa, ya
-    return xa + (y - ya) * ((xb - xa) / (yb - ya))
+    return xa, ya, (xb - xa) / (yb - ya)
 
 
 @device
@@ -157,18 +157,25 @@ def cover_triangle(target, width, height, x, y, w, entry):
     y1 = np.int64(min(math.ceil(high - 0.5) - 1.0, height - 1.0))
     if area == 0.0 or y0 > y1 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:
         return False
-    slope_x = ((w[1] - w[0]) * (y[2] - y[0]) - (w[2] - w[0]) * (y[1] - y[0])) / area
-    slope_y = ((w[2] - w[0]) * (x[1] - x[0]) - (w[1] - w[0]) * (x[2] - x[0])) / area
+    scale = 1.0 / area
+    slope_x = ((w[1] - w[0]) * (y[2] - y[0]) - (w[2] - w[0]) * (y[1] - y[0])) * scale
+    slope_y = ((w[2] - w[0]) * (x[1] - x[0]) - (w[1] - w[0]) * (x[2] - x[0])) * scale
     least, most = min(w[0], w[1], w[2]), max(w[0], w[1], w[2])
+    ax, ay, a = _edge(x[0], y[0], x[1], y[1])
+    bx, by, b = _edge(x[1], y[1], x[2], y[2])
+    cx, cy, c = _edge(x[2], y[2], x[0], y[0])
     written = False
     for j in range(y0, y1 + 1):
         yc = j + 0.5
         left, right = math.inf, -math.inf
-        for k in range(3):
-            n = k + 1 if k < 2 else 0
-            if (y[k] <= yc) != (y[n] <= yc):
-                at = _crossing(yc, x[k], y[k], x[n], y[n])
-                left, right = min(left, at), max(right, at)
+        if (y[0] <= yc) != (y[1] <= yc):
+            left = right = ax + (yc - ay) * a
+        if (y[1] <= yc) != (y[2] <= yc):
+            at = bx + (yc - by) * b
+            left, right = min(left, at), max(right, at)
+        if (y[2] <= yc) != (y[0] <= yc):
+            at = cx + (yc - cy) * c
+            left, right = min(left, at), max(right, at)
         x0 = np.int64(max(math.ceil(left - 0.5), 0.0))
         x1 = np.int64(min(math.ceil(right - 0.5) - 1.0, width - 1.0))
         if x0 <= x1:

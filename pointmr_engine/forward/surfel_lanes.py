@@ -191,3 +191,60 @@ def shape_eight(typingctx, rows, first, constants, out):
         return context.get_dummy_value()
 
     return types.void(types.uint64, i, types.uint64, types.uint64), codegen
+
+
+# rows of eight that `corners_eight` leaves behind: three subpixel x, three y, three of nearness, the largest nearness
+CORNER_X, CORNER_Y, CORNER_W, CORNER_FRONT, CORNER_SMALL = 0, 3, 6, 9, 10
+
+
+@intrinsic
+def corners_eight(typingctx, corners, first, constants, out):
+    """Corners of triangles first..first + 8 in the tile; returns masks: bits 0-7 those to be drawn, 8-15 those to be clipped.
+
+    corners: address of float32, nine a triangle. Triangles outside the tile, and between the centres of its subpixels, are in
+    neither mask; those that reach behind the near plane are in the second. CORNER_SMALL: the larger side of the bounds.
+    """
+    i = types.int64
+
+    def codegen(context, builder, signature, args):
+        t = Terms(builder)
+        data, k, target = t.pointer(args[0]), t.pointer(args[2]), t.pointer(args[3])
+
+        def constant(c):
+            return t.broadcast(k, c)
+
+        m = [[constant(MATRIX + 4 * r + c) for c in range(4)] for r in range(3)]
+        middle = [constant(MIDDLE + c) for c in range(3)]
+        perspective = constant(PERSPECTIVE) > 0.5
+        near, far = constant(NEAR), constant(FAR)
+        xs, ys, ws, front, behind = [], [], [], None, None
+        for v in range(3):
+            x, y, z = (t.gather(data, args[1], 9, 3 * v + c) - middle[c] for c in range(3))
+            p = [r[3].plus_product(r[0], x).plus_product(r[1], y).plus_product(r[2], z) for r in m]
+            inverse = t.constant(1.0) / p[2]
+            scale = inverse.where(perspective, 1.0)
+            xs.append(constant(SHIFT_X).plus_product(p[0] * scale, constant(FOCAL_X)))
+            ys.append(constant(SHIFT_Y).plus_product(p[1] * scale, constant(FOCAL_Y)))
+            ws.append(inverse.where(perspective, constant(DEPTH_SHIFT) - p[2] * constant(DEPTH_SCALE)))
+            inside = builder.and_(p[2] > near, p[2] < far)
+            front = inside if front is None else builder.and_(front, inside)
+            here = p[2] > near
+            behind = here if behind is None else builder.or_(behind, here)
+        x0, x1 = xs[0].at_most(xs[1]).at_most(xs[2]), xs[0].at_least(xs[1]).at_least(xs[2])
+        y0, y1 = ys[0].at_most(ys[1]).at_most(ys[2]), ys[0].at_least(ys[1]).at_least(ys[2])
+        # centres of columns and rows that the bounds reach
+        columns = ((x1 - 0.5)._unary("floor") - (x0 - 0.5)._unary("ceil")) > -0.5
+        lines = ((y1 - 0.5)._unary("floor") - (y0 - 0.5)._unary("ceil")) > -0.5
+        seen = builder.and_(builder.and_(columns, lines), builder.and_(x1 > 0.0, y1 > 0.0))
+        seen = builder.and_(seen, builder.and_(x0 < constant(WIDTH_OF_TILE), y0 < constant(HEIGHT_OF_TILE)))
+        for v in range(3):
+            t.store(xs[v], target, CORNER_X + v)
+            t.store(ys[v], target, CORNER_Y + v)
+            t.store(ws[v], target, CORNER_W + v)
+        t.store(ws[0].at_least(ws[1]).at_least(ws[2]), target, CORNER_FRONT)
+        t.store((x1 - x0).at_least(y1 - y0), target, CORNER_SMALL)
+        drawn = t.bits(builder.and_(seen, front))
+        crossing = t.bits(builder.and_(behind, builder.not_(front)))
+        return builder.or_(drawn, builder.shl(crossing, ir.Constant(_i64, 8)))
+
+    return i(types.uint64, i, types.uint64, types.uint64), codegen

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.cut_outs import cut_out_of, draw_cut_out
-from pointmr_engine.forward.draw import Entries, corner, draw_set, draw_triangle, set_constants
+from pointmr_engine.forward.draw import Entries, draw_set, set_constants
+from pointmr_engine.forward.draw_triangles import draw_triangles
 from pointmr_engine.forward.subpixels import Target, View, clear, is_hidden, mark_drawn
 from pointmr_engine.forward.surfel_lanes import CONSTANTS, LANE_ROWS
 from pointmr_engine.forward.transforms import (
@@ -30,6 +30,7 @@ from pointmr_engine.hierarchy.sample_sets import NOT_YET
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
 
+SMALL = 1.5  # pixels: triangles no larger are shaded once, not in every pixel
 DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
 COUNTERS = (
     "nodes", "outside", "hidden", "sets", "surfels", "triangles", "instances", "waiting", "drawn",
@@ -56,6 +57,7 @@ class Hierarchy(NamedTuple):
 
     octree: NamedTuple  # OctreeArrays
     sets: NamedTuple  # SetArrays
+    corners: np.ndarray  # (M, 9) float32 of the octree's items: octree.triangle_corners
     parts: NamedTuple  # PartTables
     instances: NamedTuple  # BatchTables
     cut_outs: NamedTuple  # CutOuts
@@ -77,7 +79,7 @@ class Scratch:
         self.corners = np.empty((3, 3))
         self.constants = np.zeros(CONSTANTS, np.float32)
         self.lanes = np.zeros((LANE_ROWS, WIDTH), np.float32)
-        self.address = np.array([0, self.constants.ctypes.data, self.lanes.ctypes.data], np.uint64)
+        self.address = np.array([0, self.constants.ctypes.data, self.lanes.ctypes.data, 0], np.uint64)
 
     def grow(self, status: int) -> None:
         if status == ENTRIES_FULL:
@@ -98,21 +100,23 @@ def walk(
     scratch: Scratch,
     wanted: np.ndarray,
     culling: bool = True,
+    subpixels: int = 4,
 ) -> int:
     """Draw the scene's part in a tile into scratch.target, which is empty; returns the number of entries.
 
     spacing: of samples, in subpixels, at most. bounds: x0, y0, x1, y1 of the tile in subpixels of the whole image.
     wanted (nodes,) uint8: 1 is written where a set is needed that is not built; such nodes are not drawn.
-    culling: leave out boxes that are hidden by what is drawn already.
+    culling: leave out boxes that are hidden by what is drawn already. subpixels: per side of a pixel.
     """
     before = scratch.counters.copy()
     scratch.address[0] = hierarchy.sets.row.ctypes.data
+    scratch.address[3] = hierarchy.corners.ctypes.data
     while True:
         status = _walk(
             view, hierarchy, np.ascontiguousarray(camera_from_world[:3], np.float64), float(spacing),
             *(np.int64(b) for b in bounds), scratch.target, scratch.entries, scratch.heap, scratch.transforms,
             scratch.scale, scratch.box, scratch.bounds, scratch.corners, scratch.constants, scratch.lanes,
-            scratch.address, wanted, bool(culling), scratch.used, scratch.counters,
+            scratch.address, wanted, bool(culling), np.float32(SMALL * subpixels), scratch.used, scratch.counters,
         )  # fmt: skip
         if status == DONE:
             return int(scratch.used[0])
@@ -219,7 +223,7 @@ def _add(
 
 @uncounted
 def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, target, entries, heap, transforms,
-          scale, box, bounds, corners, constants, lanes, address, wanted, culling, used, counters):  # fmt: skip
+          scale, box, bounds, corners, constants, lanes, address, wanted, culling, small, used, counters):  # fmt: skip
     octree, sets = hierarchy.octree, hierarchy.sets
     width, height = right - left, high - low
     root = len(octree.group_root) - 1
@@ -296,7 +300,8 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 if not _add(view, hierarchy, heap, sizes, transforms, np.int64(c), row, 0.5 * apart, box, bounds,
                             left, low, width, height, counters):  # fmt: skip
                     return HEAP_FULL
-        for i in range(own, drawn):
+        i, ready = np.int64(own), dense and first >= 0
+        while i < drawn:
             part, which = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
             if part < 0:
                 if rows >= len(scale):
@@ -312,40 +317,36 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                     return HEAP_FULL
                 if sizes[1] > slots:
                     rows += 1
+                i += 1
                 continue
-            if count >= len(entries.surfel):
+            last = i + 1
+            while last < drawn and octree.item[last, 0] >= 0:
+                last += 1
+            if count + last - i > len(entries.surfel):
                 return ENTRIES_FULL
-            group = np.int64(transforms.group[row])
-            _to_camera(transforms.matrix, row, octree, hierarchy.parts, part, which, group, corners)
-            counters[5] += 1
-            mask = cut_out_of(hierarchy.cut_outs, part, which)
-            if mask < 0:
-                shown = draw_triangle(view, target, width, height, left, low, corners, count)
-            else:
-                phase = ((np.int64(i) * np.int64(40503)) >> np.int64(7)) & np.int64(63)
-                shown = draw_cut_out(
-                    view, target, width, height, left, low, corners, count, hierarchy.cut_outs, mask, phase
+            if not ready:
+                set_constants(
+                    view,
+                    width,
+                    height,
+                    left,
+                    low,
+                    transforms.matrix,
+                    row,
+                    scale[row],
+                    octree.box,
+                    node,
+                    constants,
                 )
-            if shown:
-                entries.surfel[count] = -1 - np.int64(i)
-                entries.row[count] = row
-                count += 1
+                ready = True
+            counters[5] += last - i
+            count = draw_triangles(
+                view, target, width, height, left, low, constants, lanes, address, transforms.matrix, row,
+                octree.item, hierarchy.corners, hierarchy.cut_outs, i, last, entries, count, corners, small,
+            )  # fmt: skip
+            i = last
         if count > before:
             mark_drawn(target, width, height, x0, y0, x1, y1)
     used[0] = count
     used[1] = rows
     return DONE
-
-
-@device
-def _to_camera(matrix, row, octree, parts, part, triangle, group, corners):
-    """A triangle's corners in camera space."""
-    for v in range(3):
-        x = corner(parts, part, triangle, v, octree.part_offset[part], 0) - octree.group_center[group, 0]
-        y = corner(parts, part, triangle, v, octree.part_offset[part], 1) - octree.group_center[group, 1]
-        z = corner(parts, part, triangle, v, octree.part_offset[part], 2) - octree.group_center[group, 2]
-        for r in range(3):
-            at = 4 * r
-            corners[v, r] = (
-                matrix[row, at] * x + matrix[row, at + 1] * y + matrix[row, at + 2] * z + matrix[row, at + 3]
-            )
