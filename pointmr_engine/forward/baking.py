@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.forward.triangle_normals import interpolated_normal
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.sample_sets import Look
 from pointmr_engine.numerics.jit import uncounted
-from pointmr_engine.numerics.pointers import load_f32, load_i32
+from pointmr_engine.numerics.pointers import load_i32
 from pointmr_engine.raytracing.surface import points_at
 from pointmr_engine.shading import leaves as kinds
 from pointmr_engine.shading.leaves import COLUMNS, Leaf
@@ -23,6 +24,15 @@ class Baker:
     def __init__(self, geometry: Geometry, programs: list[Program]):
         self.geometry, self.programs = geometry, programs
         self._constant: dict[int, tuple] = {}
+
+    def constant_looks(self) -> np.ndarray:
+        """(materials, 7) float32: albedo, emission and 1 of the materials that are the same everywhere; else 0."""
+        looks = np.zeros((max(1, len(self.programs)), 7), np.float32)
+        for m, program in enumerate(self.programs):
+            if not program.needs:
+                albedo, emission, _ = reduce_leaves(program.evaluate(SurfacePoints(count=1)), 1)
+                looks[m, :3], looks[m, 3:6], looks[m, 6] = albedo[0], emission[0], 1
+        return looks
 
     def __call__(self, part, triangle, u, v, width) -> Look:
         """Looks of points (n,) of triangles in their shapes, averaged over `width` (n,) metres where images are."""
@@ -95,28 +105,7 @@ def _normals_and_materials(tables, part, triangle, u, v, normal, material):
             slot = load_i32(tables.material_index[p], t)
             slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
         material[k] = tables.slot_material[tables.first_slot[p] + slot]
-        at = tables.triangles[p]
-        i, j, q = load_i32(at, 3 * t), load_i32(at, 3 * t + 1), load_i32(at, 3 * t + 2)
-        x = y = z = 0.0
-        if tables.normals[p] != 0:
-            if tables.normals_per_corner[p]:
-                i, j, q = 3 * t, 3 * t + 1, 3 * t + 2
-            w = 1.0 - u[k] - v[k]
-            at = tables.normals[p]
-            x = w * load_f32(at, 3 * i) + u[k] * load_f32(at, 3 * j) + v[k] * load_f32(at, 3 * q)
-            y = w * load_f32(at, 3 * i + 1) + u[k] * load_f32(at, 3 * j + 1) + v[k] * load_f32(at, 3 * q + 1)
-            z = w * load_f32(at, 3 * i + 2) + u[k] * load_f32(at, 3 * j + 2) + v[k] * load_f32(at, 3 * q + 2)
-        if x == 0.0 and y == 0.0 and z == 0.0:
-            at = tables.triangles[p]
-            i, j, q = load_i32(at, 3 * t), load_i32(at, 3 * t + 1), load_i32(at, 3 * t + 2)
-            at = tables.positions[p]
-            ax = np.float64(load_f32(at, 3 * j)) - load_f32(at, 3 * i)
-            ay = np.float64(load_f32(at, 3 * j + 1)) - load_f32(at, 3 * i + 1)
-            az = np.float64(load_f32(at, 3 * j + 2)) - load_f32(at, 3 * i + 2)
-            bx = np.float64(load_f32(at, 3 * q)) - load_f32(at, 3 * i)
-            by = np.float64(load_f32(at, 3 * q + 1)) - load_f32(at, 3 * i + 1)
-            bz = np.float64(load_f32(at, 3 * q + 2)) - load_f32(at, 3 * i + 2)
-            x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        x, y, z = interpolated_normal(tables, p, t, np.float64(u[k]), np.float64(v[k]))
         length = np.sqrt(x * x + y * y + z * z)
         scale = 1.0 / length if length > 0.0 else 0.0
         normal[k, 0], normal[k, 1], normal[k, 2] = x * scale, y * scale, z * scale

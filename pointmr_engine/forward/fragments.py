@@ -12,9 +12,11 @@ import numpy as np
 
 from pointmr_engine.forward.draw import Entries, triangle_to_camera
 from pointmr_engine.forward.subpixels import EMPTY
+from pointmr_engine.forward.triangle_normals import interpolated_normal
 from pointmr_engine.hierarchy.surfels import NX, NY, NZ, RED, X, Y, Z
 from pointmr_engine.image.filters import filter_extent, filter_weight
 from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.pointers import load_i32
 
 
 class Fragments(NamedTuple):
@@ -48,38 +50,46 @@ def allocate_fragments(n: int) -> Fragments:
 
 
 @uncounted
-def find_fragments(ids, width, height, subpixels, entries: Entries, fragment_of, out: Fragments):
+def find_fragments(ids, width, height, subpixels, entries: Entries, fragment_of, empty, out: Fragments):
     """Number the fragments of a tile of width x height subpixels and put their numbers into `ids`; returns how many.
 
-    fragment_of (E,) int32, -1 everywhere; `out` has room for as many fragments as there are subpixels.
+    fragment_of (E,) int32, -1 everywhere; `out` has room for as many fragments as there are subpixels. empty (rows, columns)
+    uint8: 1 is written for pixels with a subpixel that shows nothing, else 0.
     """
     count = np.int64(0)
     for top in range(0, height, subpixels):
         for left in range(0, width, subpixels):
             first = count
+            gap = np.uint8(0)
+            last, k = np.int64(EMPTY), np.int64(-1)
             for y in range(top, min(top + subpixels, height)):
                 for x in range(left, min(left + subpixels, width)):
-                    e = ids[y, x]
+                    e = np.int64(ids[y, x])
                     if e == EMPTY:
+                        gap = np.uint8(1)
                         continue
-                    k = np.int64(fragment_of[e])
-                    if k < first and entries.surfel[e] < 0 and entries.surfel[e] & 1 != 0:
-                        k = np.int64(-1)  # a triangle that is not small, in a new pixel
-                    if k < 0:
-                        k = count
-                        out.entry[k] = e
-                        out.x[k] = 0
-                        out.y[k] = 0
-                        out.count[k] = 0
-                        fragment_of[e] = k
-                        count += 1
-                    out.x[k] += x + np.float32(0.5)
-                    out.y[k] += y + np.float32(0.5)
+                    if e != last:
+                        last = e
+                        k = np.int64(fragment_of[e])
+                        if k < first and entries.surfel[e] < 0 and entries.surfel[e] & 1 != 0:
+                            k = np.int64(-1)  # a triangle that is not small, in a new pixel
+                        if k < 0:
+                            k = count
+                            out.entry[k] = e
+                            out.x[k] = 0
+                            out.y[k] = 0
+                            out.count[k] = 0
+                            fragment_of[e] = k
+                            count += 1
+                    out.x[k] += x
+                    out.y[k] += y
                     out.count[k] += 1
                     ids[y, x] = k
+            empty[top // subpixels, left // subpixels] = gap
     for k in range(count):
-        out.x[k] /= out.count[k]
-        out.y[k] /= out.count[k]
+        inverse = np.float32(1) / out.count[k]
+        out.x[k] = out.x[k] * inverse + np.float32(0.5)
+        out.y[k] = out.y[k] * inverse + np.float32(0.5)
     return count
 
 
@@ -89,43 +99,45 @@ def _ray(view, x, y):
     return (x - view.shift_x) / view.scale_x, (y - view.shift_y) / view.scale_y
 
 
+@uncounted
+def fill_normal_matrices(matrix, count, out):
+    """out (K, 9) float64: what carries normals of rows 0..count into camera space, outside to outside; not of unit length."""
+    for k in range(count):
+        sign = 0.0
+        for r in range(3):
+            r1, r2 = 4 * ((r + 1) % 3), 4 * ((r + 2) % 3)
+            for c in range(3):
+                c1, c2 = (c + 1) % 3, (c + 2) % 3
+                value = matrix[k, r1 + c1] * matrix[k, r2 + c2] - matrix[k, r1 + c2] * matrix[k, r2 + c1]
+                out[k, 3 * r + c] = value
+                if r == 0:
+                    sign += matrix[k, c] * value
+        if sign < 0.0:
+            for c in range(9):
+                out[k, c] = -out[k, c]
+
+
 @device
-def _cofactor_normal(m, row, x, y, z):
-    a = m[row, 5] * m[row, 10] - m[row, 6] * m[row, 9]
-    b = m[row, 6] * m[row, 8] - m[row, 4] * m[row, 10]
-    c = m[row, 4] * m[row, 9] - m[row, 5] * m[row, 8]
-    d = m[row, 9] * m[row, 2] - m[row, 10] * m[row, 1]
-    e = m[row, 10] * m[row, 0] - m[row, 8] * m[row, 2]
-    f = m[row, 8] * m[row, 1] - m[row, 9] * m[row, 0]
-    g = m[row, 1] * m[row, 6] - m[row, 2] * m[row, 5]
-    h = m[row, 2] * m[row, 4] - m[row, 0] * m[row, 6]
-    i = m[row, 0] * m[row, 5] - m[row, 1] * m[row, 4]
-    px, py, pz = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-    length = np.sqrt(px * px + py * py + pz * pz)
-    if m[row, 0] * a + m[row, 1] * b + m[row, 2] * c < 0.0:
-        length = -length
-    if length == 0.0:
-        return 0.0, 0.0, 0.0
-    return px / length, py / length, pz / length
+def _carry_normal(normals, row, x, y, z):
+    """A unit normal in camera space."""
+    px = normals[row, 0] * x + normals[row, 1] * y + normals[row, 2] * z
+    py = normals[row, 3] * x + normals[row, 4] * y + normals[row, 5] * z
+    pz = normals[row, 6] * x + normals[row, 7] * y + normals[row, 8] * z
+    square = px * px + py * py + pz * pz
+    inverse = 1.0 / np.sqrt(square) if square > 0.0 else 0.0
+    return px * inverse, py * inverse, pz * inverse
 
 
 @uncounted
 def fill_fragments(
-    view,
-    left,
-    low,
-    octree,
-    sets,
-    all_corners,
-    transforms,
-    entries: Entries,
-    fragments: Fragments,
-    count,
+    view, left, low, octree, sets, all_corners, parts, looks, transforms, normals, entries: Entries, fragments: Fragments, count,
     corners,
-):
+):  # fmt: skip
     """Attributes of fragments 0..count: of surfels from their rows; of triangles where the ray meets their plane.
 
-    all_corners: of the octree's items; corners: (3, 3) float64 to work in. Triangles get no shading normal or colour yet (normal is 0).
+    all_corners: of the octree's items; corners: (3, 3) float64 to work in. normals: of fill_normal_matrices. looks (materials, 7)
+    float32: albedo, emission and 1 for materials that are the same everywhere; triangles of others get no colour and no
+    normal yet (it is 0).
     """
     m = transforms.matrix
     for k in range(count):
@@ -142,7 +154,7 @@ def fill_fragments(
                 )
             nx, ny, nz = np.float64(sets.row[s, NX]), np.float64(sets.row[s, NY]), np.float64(sets.row[s, NZ])
             length = min(np.sqrt(nx * nx + ny * ny + nz * nz), 1.0)
-            nx, ny, nz = _cofactor_normal(m, row, nx, ny, nz)
+            nx, ny, nz = _carry_normal(normals, row, nx, ny, nz)
             fragments.normal[k, 0], fragments.normal[k, 1], fragments.normal[k, 2] = (
                 nx * length,
                 ny * length,
@@ -169,7 +181,6 @@ def fill_fragments(
         fragments.place[k, 0], fragments.place[k, 1] = u, v
         for r in range(3):
             fragments.position[k, r] = (1.0 - u - v) * corners[0, r] + u * corners[1, r] + v * corners[2, r]
-            fragments.normal[k, r] = np.float32(0)
         ax, ay, az = (
             corners[1, 0] - corners[0, 0],
             corners[1, 1] - corners[0, 1],
@@ -188,6 +199,31 @@ def fill_fragments(
             ny * scale,
             nz * scale,
         )
+        _look_of_triangle(
+            parts, looks, normals, row, part, triangle, u, v, nx * scale, ny * scale, nz * scale, fragments, k
+        )
+
+
+@device
+def _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, nx, ny, nz, fragments, k):
+    """Shading normal and colour of a triangle's fragment, if its material is the same everywhere; (nx, ny, nz): its plane's."""
+    slot = np.int64(0)
+    if parts.material_index[part] != 0:
+        slot = load_i32(parts.material_index[part], triangle)
+        slot = min(max(slot, np.int64(0)), np.int64(parts.slots[part]) - 1)
+    material = parts.slot_material[parts.first_slot[part] + slot]
+    if looks[material, 6] == 0.0:
+        fragments.normal[k, 0], fragments.normal[k, 1], fragments.normal[k, 2] = 0.0, 0.0, 0.0
+        return
+    for c in range(3):
+        fragments.albedo[k, c] = looks[material, c]
+        fragments.emission[k, c] = looks[material, 3 + c]
+    if parts.normals[part] != 0:
+        x, y, z = interpolated_normal(parts, part, triangle, u, v)
+        x, y, z = _carry_normal(normals, row, x, y, z)
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            nx, ny, nz = x, y, z
+    fragments.normal[k, 0], fragments.normal[k, 1], fragments.normal[k, 2] = nx, ny, nz
 
 
 @device
@@ -219,48 +255,62 @@ def filter_taps(kind: str, width: float, subpixels: int) -> np.ndarray:
     return (taps / taps.sum()).astype(np.float32)
 
 
-@uncounted
-def filter_tile(ids, width, height, subpixels, light, background, taps, lines, line, out):
-    """Pixels of a tile: light of the fragments that its subpixels show, under the pixel filter.
-
-    ids as find_fragments left them; light (F, 3) float32; background (rows, columns, 4) float32 of the tile's pixels, premultiplied
-    with alpha, for empty subpixels; taps (n,) float32. lines (height, columns of out, 4) and line (width, 4) float32 to work in;
-    out (h, w, 4) float32: the pixels whose filter lies inside the tile.
-    """
-    columns, rows, n = out.shape[1], out.shape[0], len(taps)
-    for y in range(height):
-        below = y // subpixels
-        for x in range(width):
+@device
+def _gather_line(ids, y, width, subpixels, light, background, line):
+    """Colours (width, 4) of row y's subpixels."""
+    below = y // subpixels
+    one = np.float32(1)
+    for left in range(0, width, subpixels):
+        p = left // subpixels
+        for x in range(left, left + subpixels):
             k = ids[y, x]
             if k >= 0:
                 line[x, 0] = light[k, 0]
                 line[x, 1] = light[k, 1]
                 line[x, 2] = light[k, 2]
-                line[x, 3] = np.float32(1)
+                line[x, 3] = one
             else:
-                p = x // subpixels
                 for c in range(4):
                     line[x, c] = background[below, p, c]
-        for p in range(columns):
-            a = b = c = d = np.float32(0)
-            at = p * subpixels
-            for t in range(n):
-                weight = taps[t]
-                a += weight * line[at + t, 0]
-                b += weight * line[at + t, 1]
-                c += weight * line[at + t, 2]
-                d += weight * line[at + t, 3]
-            lines[y, p, 0] = a
-            lines[y, p, 1] = b
-            lines[y, p, 2] = c
-            lines[y, p, 3] = d
+
+
+@device
+def _add_scaled(total, line, weight):
+    """total += weight * line, both flat."""
+    for i in range(len(total)):
+        total[i] += weight * line[i]
+
+
+@uncounted
+def filter_tile(ids, width, height, subpixels, light, background, taps, sums, line, out):
+    """Pixels of a tile: light of the fragments that its subpixels show, under the pixel filter.
+
+    ids as find_fragments left them; light (F, 3) float32; background (rows, columns, 4) float32 of the tile's pixels,
+    premultiplied with alpha, for empty subpixels; taps (n,) float32. sums (rows + 1, width * 4) and line (width, 4) float32 to
+    work in; out (h, w, 4) float32: the pixels whose filter lies inside the tile. width, height: multiples of `subpixels`.
+    """
+    columns, rows, n = out.shape[1], out.shape[0], len(taps)
+    flat = line.reshape(-1)[: 4 * width]
+    for q in range(rows):
+        sums[q, : 4 * width] = np.float32(0)
+    for y in range(height):
+        _gather_line(ids, y, width, subpixels, light, background, line)
+        # every row of subpixels belongs to a few rows of pixels: those whose taps reach it
+        last = min(y // subpixels, rows - 1)
+        for q in range(max((y - n) // subpixels + 1, 0), last + 1):
+            _add_scaled(sums[q, : 4 * width], flat, taps[y - q * subpixels])
     for q in range(rows):
         for p in range(columns):
-            for c in range(4):
-                out[q, p, c] = np.float32(0)
-        for t in range(n):
-            weight = taps[t]
-            y = q * subpixels + t
-            for p in range(columns):
-                for c in range(4):
-                    out[q, p, c] += weight * lines[y, p, c]
+            a = b = c = d = np.float32(0)
+            at = 4 * p * subpixels
+            for t in range(n):
+                weight = taps[t]
+                a += weight * sums[q, at]
+                b += weight * sums[q, at + 1]
+                c += weight * sums[q, at + 2]
+                d += weight * sums[q, at + 3]
+                at += 4
+            out[q, p, 0] = a
+            out[q, p, 1] = b
+            out[q, p, 2] = c
+            out[q, p, 3] = d

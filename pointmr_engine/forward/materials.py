@@ -63,6 +63,7 @@ class FullShading:
                 space.target.pattern,
                 own.clear,
             )
+            space.empty.fill(1)
 
     def _shade_batch(self, space, own, hierarchy, values, first: int, n: int) -> bool:
         image, f = self.image, space.fragments

@@ -12,9 +12,11 @@ import numpy as np
 
 from pointmr_engine.forward.baking import Baker, materials_of
 from pointmr_engine.forward.cut_outs import build_cut_outs
+from pointmr_engine.forward.emissive_lamps import emissive_lamps
 from pointmr_engine.forward.fragments import (
     allocate_fragments,
     fill_fragments,
+    fill_normal_matrices,
     filter_taps,
     filter_tile,
     find_fragments,
@@ -49,8 +51,10 @@ class Sampler:
         self.geometry, self.programs = geometry, programs
         self.octree = build_octree(geometry, progress)
         self.baker = Baker(geometry, programs)
+        self.looks = self.baker.constant_looks()
         self.environment = Environment(scene.world)
         self.cut_outs = build_cut_outs(geometry, programs)
+        self.emissive_lamps = emissive_lamps(geometry, programs)
         self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
         self.ambient = self.world_light.mean
@@ -79,7 +83,7 @@ class Image:
         z = _depth_range(camera.camera_from_world, octree.lower[root], octree.upper[root])
         self.view = make_view(camera, self.subpixels, z)
         self.pixel = self.subpixels / (self.view.scale_x * self.view.scale_y) ** 0.5
-        self.scene_lights = [*scene.lights, *sampler.world_light.suns]
+        self.scene_lights = [*scene.lights, *sampler.world_light.suns, *sampler.emissive_lamps]
         self.lamps = compile_lamps(self.scene_lights)[0]
         self.shading = _shading(self)
         self.shadows = options.shadows and bool(self.lamps.cast_shadow.any())
@@ -151,7 +155,9 @@ class Workspace:
         self.shadow_maps = ShadowMaps(image) if image.shadows else None
         self.placed = allocate_placement_values(0)
         self.light = np.empty((side * side, 3), np.float32)
-        self.lines = np.empty((side, TILE, 4), np.float32)
+        self.sums = np.empty((TILE, 4 * side), np.float32)
+        self.empty = np.zeros((side // image.subpixels + 1,) * 2, np.uint8)
+        self.normals = np.empty((1 << 12, 9))
         self.line = np.empty((side, 4), np.float32)
         self.corners = np.empty((3, 3))
         self.background = np.zeros((TILE + 2 * image.apron, TILE + 2 * image.apron, 4), np.float32)
@@ -184,10 +190,15 @@ class Workspace:
         self.fragment_of[: self.entries] = -1
         ids, f, entries = self.target.ids, self.fragments, self.scratch.entries
         width, height, s = np.int64(self.width), np.int64(self.height), np.int64(s)
-        count = find_fragments(ids, width, height, s, entries, self.fragment_of, f)
+        count = find_fragments(ids, width, height, s, entries, self.fragment_of, self.empty, f)
+        rows = int(self.scratch.used[1])
+        if len(self.normals) < rows:
+            self.normals = np.empty((2 * rows, 9))
+        fill_normal_matrices(self.scratch.transforms.matrix, np.int64(rows), self.normals)
         fill_fragments(
             image.view, np.int64(self.left), np.int64(self.low), hierarchy.octree, hierarchy.sets, hierarchy.corners,
-            self.scratch.transforms, entries, f, count, self.corners,
+            hierarchy.parts, image.sampler.looks, self.scratch.transforms, self.normals, entries, f, count,
+            self.corners,
         )  # fmt: skip
         self.shaded += count
         if self.shadow_maps is not None:
@@ -220,7 +231,7 @@ class Workspace:
             out = np.empty((rows, columns, 4), np.float32)
             filter_tile(
                 self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(s), values, background,
-                image.taps, self.lines, self.line, out,
+                image.taps, self.sums, self.line, out,
             )  # fmt: skip
             return out
 
@@ -261,7 +272,7 @@ class Workspace:
         """World radiance of the tile's pixels that are not covered whole."""
         image, s = self.image, self.image.subpixels
         rows, columns = self.height // s, self.width // s
-        empty = (self.target.ids[: self.height, : self.width] < 0).reshape(rows, s, columns, s).any((1, 3))
+        empty = self.empty[:rows, :columns]
         self.background[:rows, :columns] = 0
         if image.settings.film_transparent or not empty.any():
             return
