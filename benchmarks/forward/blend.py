@@ -70,6 +70,7 @@ def from_blend(path: str) -> Scene:
 def to_blend(scene: Scene, path: Path) -> None:
     """Write a scene of any nesting as objects that share their meshes; each placement becomes an object."""
     import bpy
+    from mathutils import Matrix
 
     from benchmarks.features import stage
 
@@ -115,7 +116,7 @@ def to_blend(scene: Scene, path: Path) -> None:
     def place(group, matrix):
         for m in group.meshes:
             item = bpy.data.objects.new(m.name, mesh_of(m))
-            item.matrix_world = [list(map(float, r)) for r in matrix]
+            item.matrix_world = Matrix(matrix)
             collection.objects.link(item)
         for batch in group.instances:
             for i, t in enumerate(batch.transforms):
@@ -127,7 +128,7 @@ def to_blend(scene: Scene, path: Path) -> None:
     data = bpy.data.cameras.new("Camera")
     data.lens, data.clip_start, data.clip_end = c.focal_length, c.clip_start, c.clip_end
     view = bpy.data.objects.new("Camera", data)
-    view.matrix_world = [list(map(float, r)) for r in c.world_from_camera]
+    view.matrix_world = Matrix(c.world_from_camera)
     collection.objects.link(view)
     bpy.context.scene.camera = view
     add_light(scene)
@@ -138,6 +139,7 @@ def to_blend(scene: Scene, path: Path) -> None:
 def add_light(scene: Scene) -> None:
     """The benchmarks' sun and sky in the open .blend file."""
     import bpy
+    from mathutils import Matrix
 
     from benchmarks.features import stage
 
@@ -145,7 +147,7 @@ def add_light(scene: Scene) -> None:
         data = bpy.data.lights.new("Sun", "SUN")
         data.energy, data.angle, data.use_shadow = light.power, light.angle, light.cast_shadow
         item = bpy.data.objects.new("Sun", data)
-        item.matrix_world = [list(map(float, r)) for r in light.world_from_light]
+        item.matrix_world = Matrix(light.world_from_light)
         bpy.context.scene.collection.objects.link(item)
     stage.world(scenes.SKY, 1.0)
     see = bpy.context.scene.world.cycles_visibility

@@ -71,6 +71,9 @@ def ours(scene: Scene, chosen: RenderSettings, cache: Cache, rounds: int) -> tup
     for k in range(rounds + 1):
         chosen.seed = 11 + k
         frames.append(render(scene, chosen, cache=cache))
+    dynamic = chosen.method == "forward" and chosen.forward.sampling == "dynamic"
+    if dynamic and frames[-1].stats["needs"].get("sample_sets"):
+        raise RuntimeError("dynamic sampling was asked for, but static sets were drawn")
     seconds = statistics.median(f.stats["times"]["rendering"] for f in frames[1:])
     return [f.passes["combined"] for f in frames[1:]], seconds
 

@@ -63,6 +63,8 @@ def fly(flight: Flight, chosen: RenderSettings, rounds: int, cache: Cache | None
     wall = [statistics.median(lap[i][0] for lap in laps) for i in range(len(views))]
     processor = [min(lap[i][1] for lap in laps) for i in range(len(views))]
     frames = [lap[2] for lap in laps[-1]]
+    if chosen.forward.sampling == "dynamic" and frames[-1].stats["needs"].get("sample_sets"):
+        raise RuntimeError("dynamic sampling was asked for, but static sets were drawn")
     counters = {
         k: float(np.mean([f.stats["counters"].get(k, 0) for f in frames]))
         for k in frames[0].stats["counters"]

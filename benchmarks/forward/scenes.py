@@ -37,7 +37,7 @@ def camera(eye, target, focal_length: float = 28.0, near: float = 0.05, far: flo
     return Camera(look(eye, target), focal_length=focal_length, clip_start=near, clip_end=far)
 
 
-def stage(root: Group, view: Camera, power: float = 3.5) -> Scene:
+def stage(root: Group, view: Camera, power: float = 4.5) -> Scene:
     """A scene with the sun and the sky of all benchmarks."""
     sun = Light("SUN", look((-2, -3, 7), (0, 0, 0)), power=power, angle=0.0, cast_shadow=False)
     world = uniform_world(SKY)
@@ -191,7 +191,7 @@ def land(views: int = 24, extent: float = 45_000.0) -> Flight:
 
     def height(x, y):
         far = np.clip((np.hypot(x, y) - 2500.0) / 20_000.0, 0.0, 1.0)
-        return hills(x, y, 20.0, 2200.0) + far * (hills(x, y, 260.0, 5200.0) + 420.0)
+        return hills(x, y, 25.0, 400.0) + far * (hills(x, y, 260.0, 5200.0) + 420.0)
 
     step = 384.0
     side = int(extent // step) * 2 + 1
@@ -219,7 +219,7 @@ def land(views: int = 24, extent: float = 45_000.0) -> Flight:
     soil = ground(2 * extent, 256, lambda x, y: height(x, y) - 8.0)
     which = rng.integers(0, 3, n).astype(np.int32)
     root = Group("land", [soil], [Instances(tuple(stands), placed, which)])
-    return Flight("forest of 10^15 triangles", root, flight(1800.0, height, views, (30.0, 260.0)))
+    return Flight("forest of 10^15 triangles", root, flight(1800.0, height, views, (40.0, 140.0)))
 
 
 def carpet(levels: int, views: int = 4) -> Flight:
