@@ -39,6 +39,7 @@ CLASS = 3.0  # fragments whose footprints differ by a larger factor get separate
 WIDEST = 14.0  # texels: the largest penumbra
 LIKELY = 0.5  # of the widest penumbra that a lamp could give: what a map's texels are made for ...
 COARSEST = 1.5  # ... if they need not be larger than so many footprints
+EVEN = 0.9998  # squared length of a mean normal from which a piece counts as a plane, as triangles are
 OFFSET, OFFSET_OF_TRIANGLES = 1.0, 0.25  # footprints: how far receivers are raised above their surface
 _WAITING = COUNTERS.index("waiting")
 
@@ -130,12 +131,16 @@ class ShadowMaps:
                     rows[here],
                     float(size[here].min()),
                     light,
+                    row[RADIUS],
                     share,
                     wanted,
                 )
 
-    def _map(self, hierarchy, from_world, perspective, rows, size, light, share, wanted) -> None:
-        """One map over the receivers `rows`, whose footprints are at least `size` (metres, or over the depth)."""
+    def _map(self, hierarchy, from_world, perspective, rows, size, light, inside, share, wanted) -> None:
+        """One map over the receivers `rows`, whose footprints are at least `size` (metres, or over the depth).
+
+        inside: nothing nearer to the lamp's middle throws a shadow; it is in the lamp.
+        """
         place = self.place[rows]
         low, high = place.min(0), place.max(0)
         if perspective:
@@ -153,7 +158,7 @@ class ShadowMaps:
         scale = 1.0 / texels
         shift = margin - low[:2] * scale
         if perspective:
-            near, far = 1e-3 * low[2], 1.001 * high[2]
+            near, far = max(1e-3 * low[2], min(inside, 0.5 * low[2])), 1.001 * high[2]
             view = View(True, *_floats(*scale, *shift, near, far), 0.0, 0.0)
         else:
             first = self._nearest(from_world)
@@ -248,7 +253,7 @@ def receivers(from_camera, perspective, position, geometric, normal, width, coun
         f = 1.0
         if square > 0.0:
             f = min(max((math.sqrt(square) - 0.5) / 0.45, 0.0), 1.0)
-        h = (OFFSET if square > 0.0 else OFFSET_OF_TRIANGLES) * width[k]
+        h = (OFFSET if 0.0 < square < EVEN else OFFSET_OF_TRIANGLES) * width[k]
         place[k, 0] = px + h * (f * qx + (1.0 - f) * lx)
         place[k, 1] = py + h * (f * qy + (1.0 - f) * ly)
         place[k, 2] = pz + h * (f * qz + (1.0 - f) * lz)

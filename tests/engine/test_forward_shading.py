@@ -201,6 +201,21 @@ def test_lamps_with_extent_are_close_to_many_rays(lamp):
     assert difference(Scene(root, from_above(6.0), [lamp], BLACK), samples_per_pixel=4.0) < 0.04
 
 
+@pytest.mark.parametrize("shape", ["flat", "round"])
+def test_surfaces_that_shine_light_others(shape):
+    """Beside what many rays find, whose shadows and distances agree."""
+    glow = emission(color=(1.0, 0.8, 0.5), strength=10.0)
+    if shape == "flat":
+        shining = quad(1.0, -0.2, glow)
+        shining.positions = shining.positions[:, [2, 1, 0]] + np.float32([-2.0, 0.0, 1.5])
+    else:
+        shining = ball(glow, 12, 0.4)
+        shining.positions = shining.positions + np.float32([-2.0, 0.0, 1.5])
+    root = Group("root", [quad(20.0, material=DULL), box(DULL, (0.3, -0.5, 0.0), (1.0, 0.5, 0.8)), shining])
+    size = replace(SIZE, width=80, height=60, samples=128)
+    assert difference(Scene(root, from_above(8.0), [], BLACK), size, samples_per_pixel=4.0) < 0.08
+
+
 def test_lobes_see_the_world():
     """Diffuse, rough and smooth lobes of a ball under a sky of two halves."""
     nodes = {
