@@ -9,6 +9,7 @@ import numpy as np
 from pointmr_engine.numerics.jit import device, uncounted
 
 OPAQUE = 192  # of 255: from here on a sample counts as opaque
+NARROW = np.float32(0.05)  # of a pixel: footprints of looks at triangles with holes
 
 
 @device
@@ -89,3 +90,12 @@ def move_to_opaque(cut_outs, fragments, first, count):
         if best < math.inf:
             fragments.place[k, 0] = (bi + 1.0 / 3.0) / side
             fragments.place[k, 1] = (bj + 1.0 / 3.0) / side
+
+
+@uncounted
+def narrow_looks(cut_outs, fragments, first, count, width):
+    """Shrink the footprints width (N,) float32 of fragments with holes, so that their colour is not mixed with a hole's."""
+    for k in range(count):
+        part, triangle = np.int64(fragments.part[first + k]), np.int64(fragments.triangle[first + k])
+        if cut_out_of(cut_outs, part, triangle) >= 0:
+            width[k] *= NARROW

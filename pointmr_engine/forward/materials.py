@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.cut_out_cover import move_to_opaque
+from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import finish, open_clear, shade_lamps, shade_world, widen_by_normals
 from pointmr_engine.forward.placement_values import NEEDS
@@ -75,6 +75,8 @@ class FullShading:
             image.view, image.pixel, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f, first_, n_,
             own.rays, own.hits, own.state.width,
         )  # fmt: skip
+        if len(hierarchy.cut_outs.mask):
+            narrow_looks(hierarchy.cut_outs, f, first_, n_, own.state.width)
         if values is not None:
             place_values(values, f, first_, n_, own.hits)
         frames(self.shader.geometry, own.rays, own.hits, own.frames, 0, n)
