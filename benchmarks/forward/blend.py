@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.forward import scenes
 from benchmarks.forward.plants import diffuse
-from benchmarks.sources import scenes_folder
+from benchmarks.sources import scenes_folder, text_hash
 from pointmr_engine import Material, Scene
 from pointmr_engine.scene.group import CAMERA, unique_groups
 
@@ -157,7 +157,8 @@ def add_light(scene: Scene) -> None:
 
 def ensure(name: str, folder: Path) -> Path:
     """The .blend file of a scene, written by another process if it is not there."""
-    path = folder / f"{name}.blend"
+    made_by = [Path(m.__file__).read_text() for m in (scenes, scenes.plants)] + [Path(__file__).read_text()]
+    path = folder / f"{name}-{text_hash(name, made_by)}.blend"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
         subprocess.run([sys.executable, "-m", "benchmarks.forward.blend", name, str(path)], check=True, cwd=ROOT)

@@ -135,7 +135,7 @@ def main() -> None:
                 )
             )
         for label, root, sets, before in tasks:
-            laps = preprocess(root, sets)
+            laps = preprocess(root, sets, o.rounds)
             lines.append([label, *(f"{laps[k]:.2f}" for k in ("octree", "distribution", "sets")), before])
             print(lines[-1], flush=True)
         parts += [
