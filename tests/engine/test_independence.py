@@ -34,7 +34,10 @@ def test_importing_the_engine_loads_neither_blender_nor_numba():
 
 
 def test_imports_run_one_way():
-    """scene -> shading -> hierarchy -> raytracing; numerics and image serve all; only render.py sees all."""
+    """scene -> shading -> hierarchy -> raytracing -> forward; numerics and image serve all; only render.py sees all.
+
+    Forward mapping takes camera, lamps, world and surface attributes from raytracing, but no rays of it.
+    """
     may_see = {
         "scene": {"scene"},
         "numerics": {"numerics", "scene"},
@@ -42,6 +45,7 @@ def test_imports_run_one_way():
         "shading": {"shading", "scene", "numerics"},
         "hierarchy": {"hierarchy", "shading", "scene", "numerics"},
         "raytracing": {"raytracing", "hierarchy", "shading", "scene", "numerics", "image", "needs"},
+        "forward": {"forward", "raytracing", "hierarchy", "shading", "scene", "numerics", "image", "needs"},
     }
     wrong = []
     for folder, allowed in may_see.items():
@@ -51,4 +55,6 @@ def test_imports_run_one_way():
                     subject = node.module.split(".")[1]
                     if subject not in allowed:
                         wrong.append(f"{folder}/{path.name} imports {node.module}")
+                    if folder == "forward" and node.module.startswith("pointmr_engine.raytracing.walk"):
+                        wrong.append(f"{folder}/{path.name} traces rays")
     assert wrong == []
