@@ -1,0 +1,201 @@
+"""Tiles of an image: what is drawn becomes fragments, fragments get their light, and light is filtered into pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointmr_engine.forward.baking import materials_of
+from pointmr_engine.forward.fragments import (
+    allocate_fragments,
+    fill_fragments,
+    fill_normal_matrices,
+    filter_tile,
+    find_fragments,
+)
+from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
+from pointmr_engine.forward.scattered import add_empty, add_fragments, count_shown, divide
+from pointmr_engine.forward.shadow_map import ShadowMaps
+from pointmr_engine.forward.subpixels import allocate_target, clear
+from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
+from pointmr_engine.image.frame import NOTHING, Frame
+from pointmr_engine.scene.group import CAMERA
+
+WAITING = COUNTERS.index("waiting")
+TILE = 94  # pixels; with one more on each side for the filter, and four subpixels, whole blocks
+
+
+class Workspace:
+    """One thread's buffers for tiles of an image (method.Image), drawn from static samples.
+
+    Images that are drawn from something else override `draw` and `_fill`, and where they know exact areas `_filtered`.
+    """
+
+    def __init__(self, image):
+        self.image = image
+        side = (TILE + 2 * image.apron) * image.subpixels
+        self.target = allocate_target(side, side)
+        self.scratch = Scratch(self.target)
+        self.fragments = allocate_fragments(side * side)  # at most; untouched pages cost nothing
+        self.fragment_of = np.empty(1 << 16, np.int32)
+        self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
+        self.shaded = 0
+        self.shadow = np.zeros(
+            (0, 0), np.float32
+        )  # (lamps, fragments) share of light that arrives; or nothing
+        self.shadow_maps = ShadowMaps(image) if image.shadows else None
+        self.placed = allocate_placement_values(0)
+        self.light = np.empty((side * side, 3), np.float32)
+        self.sums = np.empty((TILE, 4 * side), np.float32)
+        self.empty = np.zeros((side // image.subpixels + 1,) * 2, np.uint8)
+        self.normals = np.empty((1 << 12, 9))
+        self.line = np.empty((side, 4), np.float32)
+        self.corners = np.empty((3, 3))
+        self.background = np.zeros((TILE + 2 * image.apron, TILE + 2 * image.apron, 4), np.float32)
+
+    def draw(self, bounds, hierarchy: Hierarchy) -> np.ndarray | None:
+        """Walk for a tile x0, y0, x1, y1 of pixels; returns the nodes whose sets it misses, None if it is complete."""
+        image, s, a = self.image, self.image.subpixels, self.image.apron
+        x0, y0, x1, y1 = bounds
+        self.left, self.low = (x0 - a) * s, (y0 - a) * s
+        self.width, self.height = (x1 - x0 + 2 * a) * s, (y1 - y0 + 2 * a) * s
+        clear(self.target, self.width)
+        counters = self.scratch.counters
+        waiting = counters[WAITING]
+        self.entries = walk(
+            image.view, hierarchy, image.camera.camera_from_world, image.spacing,
+            (self.left, self.low, self.left + self.width, self.low + self.height),
+            self.scratch, self.wanted, image.settings.forward.occlusion_culling, s,
+        )  # fmt: skip
+        if counters[WAITING] == waiting:
+            return None
+        missing = np.flatnonzero(self.wanted)
+        self.wanted[missing] = 0
+        return missing
+
+    def shade(self, bounds, hierarchy: Hierarchy, frame: Frame) -> np.ndarray | None:
+        """Shade what the tile shows, and filter it into the frame; returns nodes whose sets shadows miss, as `draw`."""
+        count = self._fragments(hierarchy)
+        self.shaded += count
+        if self.shadow_maps is not None:
+            missing = self.shadow_maps.trace(hierarchy, self.fragments, count, self.wanted)
+            if missing is not None:
+                return missing
+            self.shadow = self.shadow_maps.share
+        self.image.shading.shade(self, hierarchy, count)
+        self._background(bounds)
+        self._write(bounds, hierarchy, frame)
+        return None
+
+    def _fragments(self, hierarchy: Hierarchy) -> int:
+        """Fill the tile's fragments, and its ids with their numbers; returns how many."""
+        if len(self.fragment_of) < self.entries:
+            self.fragment_of = np.empty(2 * self.entries, np.int32)
+        self.fragment_of[: self.entries] = -1
+        count = find_fragments(
+            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.image.subpixels),
+            self.scratch.entries, self.fragment_of, self.empty, self.fragments,
+        )  # fmt: skip
+        self._fill(hierarchy, count)
+        return count
+
+    def _fill(self, hierarchy: Hierarchy, count: int) -> None:
+        """Attributes of the fragments."""
+        rows = int(self.scratch.used[1])
+        if len(self.normals) < rows:
+            self.normals = np.empty((2 * rows, 9))
+        fill_normal_matrices(self.scratch.transforms.matrix, np.int64(rows), self.normals)
+        fill_fragments(
+            self.image.view, np.int64(self.left), np.int64(self.low), hierarchy.octree, hierarchy.sets,
+            hierarchy.corners, hierarchy.parts, self.image.sampler.looks, self.scratch.transforms, self.normals,
+            self.scratch.entries, self.fragments, count, self.corners,
+        )  # fmt: skip
+
+    def placement_values(self, hierarchy: Hierarchy):
+        """What instances say about the tile's placements, a row each."""
+        rows = int(self.scratch.used[1])
+        if len(self.placed.path) < rows:
+            self.placed = allocate_placement_values(2 * rows)
+        combine_placements(self.scratch.transforms, hierarchy.instances, np.int64(rows), self.placed)
+        return self.placed
+
+    def _write(self, bounds, hierarchy: Hierarchy, frame: Frame) -> None:
+        """All passes of the tile."""
+        image, f, s = self.image, self.fragments, self.image.subpixels
+        x0, y0 = image.region[:2]
+        where = np.s_[bounds[1] - y0 : bounds[3] - y0, bounds[0] - x0 : bounds[2] - x0]
+        rows, columns = bounds[3] - bounds[1], bounds[2] - bounds[0]
+        nothing = np.zeros_like(self.background)
+
+        def filtered(values, background):
+            return self._filtered(values, background, rows, columns)
+
+        combined = filtered(self.light, self.background)
+        combined[:, :, :3] *= image.settings.film_exposure
+        frame.passes["combined"][where] = np.nan_to_num(combined, copy=False)
+        middle = image.apron * s + s // 2
+        nearest = self.target.ids[middle : self.height : s, middle : self.width : s][:rows, :columns]
+        seen, k = nearest >= 0, np.maximum(nearest, 0)
+        to_world = image.camera.world_from_camera
+        for name, target in frame.passes.items():
+            if name in ("emission", "diffuse_color", "normal"):
+                values = {"emission": f.emission, "diffuse_color": f.albedo, "normal": f.normal}[name]
+                block = filtered(values, nothing)[:, :, :3]
+                if name == "emission":
+                    block = block * image.settings.film_exposure
+                elif name == "normal":
+                    block = block @ to_world[:, :3].T
+            elif name == "depth":
+                block = np.where(seen, f.position[k][..., 2], NOTHING)[..., None]
+            elif name == "position":
+                block = (f.position[k] @ to_world[:, :3].T + to_world[:, 3]) * seen[..., None]
+            elif name == "object_index":
+                block = np.zeros((rows, columns, 1), np.float32)
+                block[seen, 0] = self.placement_values(hierarchy).object_index[f.row[nearest[seen]]]
+            elif name == "material_index":
+                block, of = np.zeros((rows, columns, 1), np.float32), nearest[seen]
+                material = np.zeros(len(of), np.int32)
+                materials_of(hierarchy.parts, f.part[of], f.triangle[of], material)
+                block[seen, 0] = image.material_index[material]
+            elif name == "sample_count":
+                block = np.ones((rows, columns, 1))
+            else:
+                continue
+            target[where] = block
+
+    def _filtered(self, values, background, rows: int, columns: int) -> np.ndarray:
+        """(rows, columns, 4) float32 of the tile: values (F, 3) of the fragments, background (.., .., 4) elsewhere."""
+        image = self.image
+        out = np.empty((rows, columns, 4), np.float32)
+        size = np.int64(self.width), np.int64(self.height), np.int64(image.subpixels)
+        if image.settings.forward.reconstruction != "gaussian":
+            filter_tile(self.target.ids, *size, values, background, image.taps, self.sums, self.line, out)
+            return out
+        f, total = self.fragments, np.zeros((rows, columns, 5))
+        apron, sigma = np.int64(image.apron), np.float64(image.sigma)
+        shown = np.zeros(int(self.target.ids[: self.height, : self.width].max(initial=-1)) + 1, np.int32)
+        count_shown(self.target.ids, *size[:2], shown)
+        add_fragments(f.x, f.y, shown, values, size[2], apron, sigma, total)
+        add_empty(self.target.ids, *size, background, apron, sigma, total)
+        divide(total, out)
+        return out
+
+    def _background(self, bounds) -> None:
+        """World radiance of the tile's pixels that are not covered whole."""
+        image, s = self.image, self.image.subpixels
+        rows, columns = self.height // s, self.width // s
+        empty = self.empty[:rows, :columns]
+        self.background[:rows, :columns] = 0
+        if image.settings.film_transparent or not empty.any():
+            return
+        y, x = np.nonzero(empty)
+        view = image.view
+        d = np.ones((len(x), 3))
+        if view.perspective:
+            d[:, 0] = (self.left + (x + 0.5) * s - view.shift_x) / view.scale_x
+            d[:, 1] = (self.low + (y + 0.5) * s - view.shift_y) / view.scale_y
+            d /= np.linalg.norm(d, axis=1, keepdims=True)
+        else:
+            d[:, :2] = 0
+        world = d @ image.camera.world_from_camera[:, :3].T
+        self.background[y, x, :3] = image.sampler.environment.radiance(world, CAMERA)
+        self.background[y, x, 3] = 1
