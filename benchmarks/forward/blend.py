@@ -161,7 +161,9 @@ def ensure(name: str, folder: Path) -> Path:
     path = folder / f"{name}-{text_hash(name, made_by)}.blend"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        subprocess.run([sys.executable, "-m", "benchmarks.forward.blend", name, str(path)], check=True, cwd=ROOT)
+        subprocess.run(
+            [sys.executable, "-m", "benchmarks.forward.blend", name, str(path)], check=True, cwd=ROOT
+        )
     return path
 
 

@@ -2,8 +2,10 @@
 
     python -m benchmarks.forward.error_time [--scenes forest dragon gn_trees] [--size 640] [--reference-samples 1024]
 
-All show Lambertian surfaces under one sun without shadow, by the same pixel filter; the reference is Cycles' with two seeds,
-kept in out/forward/. Times are those of the rendering phase, the median of the rounds after a first one; hierarchies, sample
+All show Lambertian surfaces under one sun without shadow, by the same pixel filter; the reference is Cycles'
+with two seeds,
+kept in out/forward/. Times are those of the rendering phase, the median of the rounds after a first one;
+hierarchies, sample
 sets and Cycles' own are built before. Scene "land", of 10^15 triangles, has its reference from `distributed`.
 """
 
@@ -34,9 +36,12 @@ DYNAMIC = (1.0, 4.0, 16.0, 64.0)
 RAYS = (1, 4, 16, 64)
 DEFAULT = "static:1"
 COLUMNS = (
-    ("render s", "render_s", ".3f"), ("relMSE", "rel_mse", ".2e"), ("bias", "bias", ".1e"), ("FLIP", "flip", ".4f"),
+    ("render s", "render_s", ".3f"),
+    ("relMSE", "rel_mse", ".2e"),
+    ("bias", "bias", ".1e"),
+    ("FLIP", "flip", ".4f"),
     ("alpha error", "alpha", ".4f"),
-)  # fmt: skip
+)
 
 
 def load(name: str) -> Scene:
@@ -100,12 +105,15 @@ def truth(name: str, scene: Scene, size, samples: int) -> list[np.ndarray]:
     if name != "land":
         path = blend.ensure(name, OUT)
         return [h[::-1] for h in reference(find(str(path)), size, samples, 0, OUT / "references").halves]
-    key = text_hash(name, size, samples, Path(scenes.__file__).read_text(), Path(scenes.plants.__file__).read_text())
+    key = text_hash(
+        name, size, samples, Path(scenes.__file__).read_text(), Path(scenes.plants.__file__).read_text()
+    )
     path = OUT / "references" / f"{name}-{key}.npz"
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         halves = [
-            render(scene, RenderSettings(*size, samples=samples // 2, seed=seed)).passes["combined"] for seed in HALF_SEEDS
+            render(scene, RenderSettings(*size, samples=samples // 2, seed=seed)).passes["combined"]
+            for seed in HALF_SEEDS
         ]
         beside = path.with_suffix(f".{os.getpid()}.npz")
         np.savez_compressed(beside, halves=np.stack(halves))
@@ -128,7 +136,10 @@ def measure(name: str, o) -> list[dict]:
         path = OUT / "pictures" / f"{name}-{label.replace(':', '-')}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         sheet.save(path)
-        print({k: rows[-1][k] for k in ("scene", "label", "render_s", "rel_mse", "bias", "flip", "alpha")}, flush=True)
+        print(
+            {k: rows[-1][k] for k in ("scene", "label", "render_s", "rel_mse", "bias", "flip", "alpha")},
+            flush=True,
+        )
 
     caches: dict[str, Cache] = {}
     for method, label, chosen in our_methods(*size, o.methods):
@@ -160,25 +171,42 @@ def equal_error(rows: list[dict], method: str, target: dict) -> str:
 
 def main() -> None:
     o = arguments(
-        __doc__, scenes=["forest", "dragon", "gn_trees"], size=640, reference_samples=1024, rounds=2,
+        __doc__,
+        scenes=["forest", "dragon", "gn_trees"],
+        size=640,
+        reference_samples=1024,
+        rounds=2,
         methods=["static", "dynamic", "conventional", "distributed", "cycles"],
-    )  # fmt: skip
+    )
     rows, panels, summary = [], [], []
     for name in o.scenes:
         mine = measure(name, o)
         rows += mine
         for key, label in (("rel_mse", "relative MSE"), ("flip", "mean FLIP")):
-            panels.append({
-                "title": f"{name}: {label}", "xlabel": "rendering phase, s", "ylabel": label, "yscale": "log",
-                "curves": {
-                    m: tuple([r[k] for r in mine if r["method"] == m] for k in ("render_s", key))
-                    for m in dict.fromkeys(r["method"] for r in mine)
-                },
-            })  # fmt: skip
+            panels.append(
+                {
+                    "title": f"{name}: {label}",
+                    "xlabel": "rendering phase, s",
+                    "ylabel": label,
+                    "yscale": "log",
+                    "curves": {
+                        m: tuple([r[k] for r in mine if r["method"] == m] for k in ("render_s", key))
+                        for m in dict.fromkeys(r["method"] for r in mine)
+                    },
+                }
+            )
         default = next((r for r in mine if r["label"] == DEFAULT), None)
         if default:
             rivals = [equal_error(mine, m, default) for m in ("distributed", "cycles")]
-            summary.append([name, f"{default['flip']:.4f}", f"{default['rel_mse']:.2e}", f"{default['render_s']:.3f}", *rivals])
+            summary.append(
+                [
+                    name,
+                    f"{default['flip']:.4f}",
+                    f"{default['rel_mse']:.2e}",
+                    f"{default['render_s']:.3f}",
+                    *rivals,
+                ]
+            )
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / "error_time.json").write_text(json.dumps(rows))
     plot(o.output / "forward-error-time.png", panels)
@@ -187,9 +215,11 @@ def main() -> None:
         [[r["scene"], r["label"], *(format(r[k], f) for _, k, f in COLUMNS)] for r in rows],
     )
     text = [
-        f"# Forward mapping: error against run time\n\n`python -m benchmarks.forward.error_time`, {o.size} x {o.size * 3 // 4} "
+        f"# Forward mapping: error against run time\n\n`python -m benchmarks.forward.error_time`, {o.size} x "
+        f"{o.size * 3 // 4} "
         f"pixels, reference of {o.reference_samples} samples.",
-        "One sun without shadow, Lambertian surfaces, the same pixel filter; relMSE = mean((I-R)^2/(R^2+0.01)), bias is relMSE "
+        "One sun without shadow, Lambertian surfaces, the same pixel filter; relMSE = mean((I-R)^2/(R^2+0.01)), "
+        "bias is relMSE "
         "less the noise of image and reference. Seconds of the rendering phase alone.",
         "![error against run time](forward-error-time.png)",
         "The default quality, and the seconds that rivals take for the same relMSE:",

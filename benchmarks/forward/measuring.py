@@ -22,7 +22,9 @@ OUT = Path(__file__).resolve().parents[2] / "out" / "forward"
 def settings(
     width: int = 640, height: int = 480, seed: int = 0, threads: int = 0, **forward
 ) -> RenderSettings:
-    """Forward mapping with simple shading and no shadows, by default as a user finds it; further settings are its own."""
+    """Forward mapping with simple shading and no shadows, by default as a user finds it; further settings are
+    its own.
+    """
     options = ForwardSettings(**{"shading": "simple", "shadows": False} | forward)
     return RenderSettings(width, height, method="forward", seed=seed, threads=threads, forward=options)
 
@@ -113,7 +115,9 @@ def write(folder: Path, name: str, text: str) -> None:
 
 
 def plot(path: Path, panels: list[dict], columns: int = 2) -> None:
-    """Panels of curves in one PNG: each with title, xlabel, ylabel, curves (label -> (x, y) or (x, y, style)), xscale, yscale."""
+    """Panels of curves in one PNG: each with title, xlabel, ylabel, curves (label -> (x, y) or (x, y, style)),
+    xscale, yscale.
+    """
     import matplotlib
 
     matplotlib.use("Agg")

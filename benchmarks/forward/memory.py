@@ -2,7 +2,8 @@
 
     python -m benchmarks.forward.memory [--cases dragon forest_4e8 forest_6e9 land_1e15] [--size 640] [--views 4]
 
-Every case runs in a process of its own. Sets are counted twice: those that the views asked for, and, where --all-sets is
+Every case runs in a process of its own. Sets are counted twice: those that the views asked for, and, where
+--all-sets is
 given, those of all levels of all groups.
 """
 
@@ -27,9 +28,17 @@ CASES = {
     "land_1e15": lambda v: scenes.land(v),
 }
 HEADER = [
-    "case", "unique triangles", "placements", "instanced triangles", "octrees: bytes a triangle", "distribution lists", "sets, as asked for",
-    "all sets", "peak MB", "MB before",
-]  # fmt: skip
+    "case",
+    "unique triangles",
+    "placements",
+    "instanced triangles",
+    "octrees: bytes a triangle",
+    "distribution lists",
+    "sets, as asked for",
+    "all sets",
+    "peak MB",
+    "MB before",
+]
 
 
 def octree_bytes(octree) -> int:
@@ -88,19 +97,29 @@ def main() -> None:
             print(f"{name}: {run.stderr.strip().splitlines()[-1] if run.stderr.strip() else run.returncode}")
             continue
         r = json.loads(run.stdout.strip().splitlines()[-1])
-        rows.append([
-            name, f"{r['unique']:,}", f"{r['placements']:,}", f"{r['triangles']:.2g}", f"{r['octree']:.0f}",
-            f"{r['distribution']:.0f}", f"{r['sets']:.0f}", f"{r['all_sets']:.0f}" if "all_sets" in r else "-",
-            f"{r['peak_mb']:.0f}", f"{r['before_mb']:.0f}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                name,
+                f"{r['unique']:,}",
+                f"{r['placements']:,}",
+                f"{r['triangles']:.2g}",
+                f"{r['octree']:.0f}",
+                f"{r['distribution']:.0f}",
+                f"{r['sets']:.0f}",
+                f"{r['all_sets']:.0f}" if "all_sets" in r else "-",
+                f"{r['peak_mb']:.0f}",
+                f"{r['before_mb']:.0f}",
+            ]
+        )
         print(rows[-1], flush=True)
     write(
         o.output,
         "forward-memory.md",
-        "# Forward mapping: memory\n\n`python -m benchmarks.forward.memory --all-sets`. Bytes are per item: unique triangle or "
+        "# Forward mapping: memory\n\n`python -m benchmarks.forward.memory --all-sets`. Bytes are per item: "
+        "unique triangle or "
         "placement. The peak is the whole process's, after "
-        f"{o.views} views of {o.size} x {o.size * 3 // 4} pixels; before them it held Python, kernels and the scene.\n\n"
-        + markdown(HEADER, rows),
+        f"{o.views} views of {o.size} x {o.size * 3 // 4} pixels; before them it held Python, kernels and the "
+        f"scene.\n\n" + markdown(HEADER, rows),
     )
 
 

@@ -2,8 +2,10 @@
 
     python -m benchmarks.forward.output_sensitivity [--parts triangles area depth epsilon] [--rounds 3] [--size 640]
 
-O(log tau + h + a log n) static, O(log tau + h + a log a log n) dynamic; n triangles, h height of the hierarchy, a projected
-area, tau relative depth range. Each part changes one quantity and keeps the others. Times are processor seconds of one image,
+O(log tau + h + a log n) static, O(log tau + h + a log a log n) dynamic; n triangles, h height of the
+hierarchy, a projected
+area, tau relative depth range. Each part changes one quantity and keeps the others. Times are processor
+seconds of one image,
 best of the rounds, mean over the views.
 """
 
@@ -97,10 +99,14 @@ def main() -> None:
             for r, level in zip(rows, LEVELS, strict=True):
                 r["triangles"] = float(scenes.carpet(level, 1).triangles)
         record["triangles"] = found
-        panels.append({
-            "title": "a meadow of one area, ever more triangles", "xlabel": "triangles", "ylabel": "processor s an image",
-            "curves": {m: (column(r, "triangles"), column(r, "s")) for m, r in found.items()},
-        })  # fmt: skip
+        panels.append(
+            {
+                "title": "a meadow of one area, ever more triangles",
+                "xlabel": "triangles",
+                "ylabel": "processor s an image",
+                "curves": {m: (column(r, "triangles"), column(r, "s")) for m, r in found.items()},
+            }
+        )
         said = []
         for m, r in found.items():
             n, s = column(r, "triangles"), column(r, "s")
@@ -112,23 +118,32 @@ def main() -> None:
     if "area" in o.parts:
         found = sweep("width", {w: scenes.carpet(5) for w in WIDTHS}, o.methods, o, lambda w: {"width": w})
         record["area"] = found
-        panels.append({
-            "title": "the meadow of 10^10 triangles, larger images", "xlabel": "pixels", "yscale": "log",
-            "ylabel": "processor s an image",
-            "curves": {m: (0.75 * column(r, "width") ** 2, column(r, "s")) for m, r in found.items()},
-        })  # fmt: skip
+        panels.append(
+            {
+                "title": "the meadow of 10^10 triangles, larger images",
+                "xlabel": "pixels",
+                "yscale": "log",
+                "ylabel": "processor s an image",
+                "curves": {m: (0.75 * column(r, "width") ** 2, column(r, "s")) for m, r in found.items()},
+            }
+        )
         said = [
-            f"- {m}: time grows with pixels^{growth(column(r, 'width')[1:] ** 2, column(r, 's')[1:]):.2f} (from 160 x 120 on)"
+            f"- {m}: time grows with pixels^{growth(column(r, 'width')[1:] ** 2, column(r, 's')[1:]):.2f} (from "
+            f"160 x 120 on)"
             for m, r in found.items()
         ]
         sections.append(("Projected area", "\n".join(said), table("width", found)))
     if "depth" in o.parts:
         found = sweep("tau", {t: scenes.depths(t) for t in DEPTHS}, o.methods, o)
         record["depth"] = found
-        panels.append({
-            "title": "1,200 trees of one size in the image", "xlabel": "relative depth range tau",
-            "ylabel": "processor s an image", "curves": {m: (column(r, "tau"), column(r, "s")) for m, r in found.items()},
-        })  # fmt: skip
+        panels.append(
+            {
+                "title": "1,200 trees of one size in the image",
+                "xlabel": "relative depth range tau",
+                "ylabel": "processor s an image",
+                "curves": {m: (column(r, "tau"), column(r, "s")) for m, r in found.items()},
+            }
+        )
         said = []
         for m, r in found.items():
             c0, c1 = log_fit(column(r, "tau"), column(r, "s"))
@@ -140,10 +155,14 @@ def main() -> None:
             "epsilon", {e: scenes.forest(5000, 4) for e in EPSILONS}, methods, o, lambda e: {"epsilon": e}
         )
         record["epsilon"] = found
-        panels.append({
-            "title": "the forest of 4 * 10^8 triangles", "xlabel": "epsilon", "ylabel": "processor s an image",
-            "curves": {m: (column(r, "epsilon"), column(r, "s")) for m, r in found.items()},
-        })  # fmt: skip
+        panels.append(
+            {
+                "title": "the forest of 4 * 10^8 triangles",
+                "xlabel": "epsilon",
+                "ylabel": "processor s an image",
+                "curves": {m: (column(r, "epsilon"), column(r, "s")) for m, r in found.items()},
+            }
+        )
         said = [
             f"- {m}: least time at epsilon = {column(r, 'epsilon')[np.argmin(column(r, 's'))]:g}"
             for m, r in found.items()
@@ -156,8 +175,10 @@ def main() -> None:
     head = (
         "# Forward mapping: output sensitivity\n\n`python -m benchmarks.forward.output_sensitivity`, "
         f"{o.size} x {o.size * 3 // 4} pixels unless a width is given.\n\n"
-        "Static sampling ought to take O(log tau + h + a log n), dynamic sampling O(log tau + h + a log a log n). The meadow "
-        "gets 16 times the triangles with each level while its area, depth and angles stay. Processor seconds of one image.\n\n"
+        "Static sampling ought to take O(log tau + h + a log n), dynamic sampling O(log tau + h + a log a log "
+        "n). The meadow "
+        "gets 16 times the triangles with each level while its area, depth and angles stay. Processor seconds "
+        "of one image.\n\n"
         "![output sensitivity](forward-output-sensitivity.png)"
     )
     body = [f"## {title}\n\n{said}\n\n{rows}" for title, said, rows in sections]

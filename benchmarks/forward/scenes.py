@@ -1,7 +1,9 @@
-"""Scenes of forward mapping's benchmarks, made without Blender: forests of 10^4 to 10^15 triangles, and families of scenes in
+"""Scenes of forward mapping's benchmarks, made without Blender: forests of 10^4 to 10^15 triangles, and
+families of scenes in
 which one quantity changes and all others stay.
 
-All are lit by one sun without shadow under a sky that only the camera sees, and all surfaces are Lambertian: what methods
+All are lit by one sun without shadow under a sky that only the camera sees, and all surfaces are Lambertian:
+what methods
 show then differs by sampling alone.
 """
 
@@ -75,8 +77,10 @@ def hills(x: np.ndarray, y: np.ndarray, height: float, length: float) -> np.ndar
     """Height of a rolling ground."""
     u, v = x / length, y / length
     return height * (
-        np.sin(u + 0.7 * np.sin(1.3 * v)) + np.sin(1.1 * v + 0.5 * np.sin(0.9 * u)) + 0.4 * np.sin(2.3 * u - 1.7 * v)
-    )  # fmt: skip
+        np.sin(u + 0.7 * np.sin(1.3 * v))
+        + np.sin(1.1 * v + 0.5 * np.sin(0.9 * u))
+        + 0.4 * np.sin(2.3 * u - 1.7 * v)
+    )
 
 
 def ground(size: float, cells: int, height: Callable, material=plants.SOIL) -> Mesh:
@@ -172,11 +176,20 @@ def land(views: int = 24, extent: float = 45_000.0) -> Flight:
                 f"grove {k}",
                 [ground(32.0, 8, lambda x, y: 0 * x)],
                 [
-                    Instances(tuple(trees), upright(x, y, 0 * x, rng.uniform(0.7, 1.2, n), rng.uniform(0, 6.28, n)), which),
-                    Instances((grass,), upright(gx, gy, 0 * gx, rng.uniform(0.7, 1.6, len(gx)), rng.uniform(0, 6.28, len(gx)))),
+                    Instances(
+                        tuple(trees),
+                        upright(x, y, 0 * x, rng.uniform(0.7, 1.2, n), rng.uniform(0, 6.28, n)),
+                        which,
+                    ),
+                    Instances(
+                        (grass,),
+                        upright(
+                            gx, gy, 0 * gx, rng.uniform(0.7, 1.6, len(gx)), rng.uniform(0, 6.28, len(gx))
+                        ),
+                    ),
                 ],
             )
-        )  # fmt: skip
+        )
     stands = []
     for k in range(3):
         a = (np.arange(12) - 5.5) * 32.0
@@ -225,7 +238,8 @@ def land(views: int = 24, extent: float = 45_000.0) -> Flight:
 def carpet(levels: int, views: int = 4) -> Flight:
     """A rolling meadow whose triangles grow 16-fold with each level, while its area and all its angles stay.
 
-    A tile is 4 x 4 copies of the tile of one level less at a quarter of its size, each turned by quarters. With 9 x 9 of
+    A tile is 4 x 4 copies of the tile of one level less at a quarter of its size, each turned by quarters.
+    With 9 x 9 of
     them, levels 0 to 9 have 10^4 to 10^15 triangles.
     """
     rng = np.random.default_rng(1)
@@ -249,7 +263,9 @@ def carpet(levels: int, views: int = 4) -> Flight:
 
 
 def depths(tau: float, count: int = 1200, seed: int = 0) -> Flight:
-    """`count` trees of one size in the image, side by side and at depths 10 to 10 tau: the same projected area for every tau."""
+    """`count` trees of one size in the image, side by side and at depths 10 to 10 tau: the same projected area
+    for every tau.
+    """
     rng = np.random.default_rng(seed)
     tree = plants.tree("ash", 1, plants.LEAF)
     columns = round((count * 4 / 3) ** 0.5)

@@ -1,8 +1,10 @@
-"""Frames a second along flights through forests of 4 * 10^8, 6 * 10^9 and 10^15 triangles, and what comes before the first.
+"""Frames a second along flights through forests of 4 * 10^8, 6 * 10^9 and 10^15 triangles, and what comes
+before the first.
 
     python -m benchmarks.forward.speed [--cases static_4e8 static_1e15 ...] [--rounds 3] [--views 24] [--size 640]
 
-Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. A view's time is the median over
+Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. A view's time is
+the median over
 the rounds that follow a first one, which builds the sample sets that its views ask for.
 """
 
@@ -50,9 +52,17 @@ CASES = {
     ),
 }
 HEADER = [
-    "case", "triangles", "frames/s", "s: median", "least", "most", "processor s", "first image s", "all sets of the flight s",
+    "case",
+    "triangles",
+    "frames/s",
+    "s: median",
+    "least",
+    "most",
+    "processor s",
+    "first image s",
+    "all sets of the flight s",
     "2004",
-]  # fmt: skip
+]
 COUNTED = ("nodes", "hidden", "sets", "surfels", "triangles", "instances", "points", "fragments")
 
 
@@ -102,18 +112,30 @@ def main() -> None:
         make, options, before = CASES[name]
         r = fly(make(o.views), settings(o.size, o.size * 3 // 4, **options), o.rounds)
         middle = statistics.median(r["wall"])
-        rows.append([
-            name, f"{r['triangles']:.2g}", f"{1 / middle:.1f}", f"{middle:.3f}", f"{min(r['wall']):.3f}", f"{max(r['wall']):.3f}",
-            f"{statistics.median(r['processor']):.3f}", f"{r['first_image']:.2f}", f"{r['first_round'] - sum(r['wall']):.1f}", before,
-        ])  # fmt: skip
+        rows.append(
+            [
+                name,
+                f"{r['triangles']:.2g}",
+                f"{1 / middle:.1f}",
+                f"{middle:.3f}",
+                f"{min(r['wall']):.3f}",
+                f"{max(r['wall']):.3f}",
+                f"{statistics.median(r['processor']):.3f}",
+                f"{r['first_image']:.2f}",
+                f"{r['first_round'] - sum(r['wall']):.1f}",
+                before,
+            ]
+        )
         counts.append([name, *(f"{r['counters'].get(k, 0):.3g}" for k in COUNTED)])
         record[name] = {
             k: r[k] for k in ("triangles", "wall", "processor", "first_image", "first_round", "counters")
         }
         print(rows[-1], flush=True)
     parts = [
-        f"# Forward mapping: speed\n\n`python -m benchmarks.forward.speed`, {o.size} x {o.size * 3 // 4} pixels, {o.views} views.",
-        "Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. The last column is what "
+        f"# Forward mapping: speed\n\n`python -m benchmarks.forward.speed`, {o.size} x {o.size * 3 // 4} "
+        f"pixels, {o.views} views.",
+        "Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. The last "
+        "column is what "
         "the talk reported in 2004. Times are the median over the rounds for each view; the row's are over its views.",
         markdown(HEADER, rows),
         "Mean counts of one image:",
@@ -139,9 +161,10 @@ def main() -> None:
             lines.append([label, *(f"{laps[k]:.2f}" for k in ("octree", "distribution", "sets")), before])
             print(lines[-1], flush=True)
         parts += [
-            "Before the first image, seconds; \"all sets\" are those of every level, while a render builds only what its views need:",
+            'Before the first image, seconds; "all sets" are those of every level, '
+            "while a render builds only what its views need:",
             markdown(["scene", "octrees", "distribution lists", "all sets", "2004"], lines),
-        ]  # fmt: skip
+        ]
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / "speed.json").write_text(json.dumps(record))
     write(o.output, "forward-speed.md", "\n\n".join(parts))
