@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.forward.triangle_normals import interpolated_normal
+from pointmr_engine.hierarchy.candidates import Look
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.hierarchy.sample_sets import Look
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import load_i32
 from pointmr_engine.raytracing.surface import points_at

@@ -49,7 +49,8 @@ DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 class Entries(NamedTuple):
     """What was drawn into a tile and was the nearest somewhere, in the order of drawing."""
 
-    # (E,) int64 row of the surfels; for a triangle -1 - (2 * item of the octree + 1 where it is small)
+    # (E,) int64: 2 * row of the surfels, + 1 where it is not drawn without gaps; for a triangle -1 - (2 * item of the octree, + 1
+    # where it is small)
     surfel: np.ndarray
     row: np.ndarray  # (E,) int32 row of the transforms
 
@@ -150,7 +151,9 @@ def draw_set(target, width, height, constants, lanes, address, row, first, count
                 target, width, height, lanes[SX, k], lanes[SY, k], lanes[A, k], lanes[B, k], lanes[C, k],
                 lanes[NEARNESS, k], lanes[SLOPE_X, k], lanes[SLOPE_Y, k], used, lanes[OPACITY, k], phase & np.int64(63),
             ):  # fmt: skip
-                entries.surfel[used] = start + k
+                entries.surfel[used] = 2 * (start + k) + (
+                    np.int64(1) if lanes[OPACITY, k] < np.float32(1) else np.int64(0)
+                )
                 entries.row[used] = row
                 used += 1
     return used

@@ -146,6 +146,7 @@ def fill_fragments(
         fragments.row[k] = row
         s = entries.surfel[e]
         if s >= 0:
+            s >>= 1
             x, y, z = np.float64(sets.row[s, X]), np.float64(sets.row[s, Y]), np.float64(sets.row[s, Z])
             for r in range(3):
                 at = 4 * r
@@ -163,7 +164,7 @@ def fill_fragments(
             fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = nx, ny, nz
             for c in range(3):
                 fragments.albedo[k, c] = sets.row[s, RED + c]
-                fragments.emission[k, c] = sets.emission[s, c]
+                fragments.emission[k, c] = sets.emission[min(s, len(sets.emission) - 1), c]
             fragments.part[k] = sets.source[s, 0]
             fragments.triangle[k] = sets.source[s, 1]
             fragments.place[k, 0], fragments.place[k, 1] = sets.place[s, 0], sets.place[s, 1]
@@ -199,14 +200,12 @@ def fill_fragments(
             ny * scale,
             nz * scale,
         )
-        _look_of_triangle(
-            parts, looks, normals, row, part, triangle, u, v, nx * scale, ny * scale, nz * scale, fragments, k
-        )
+        _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, fragments, k)
 
 
 @device
-def _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, nx, ny, nz, fragments, k):
-    """Shading normal and colour of a triangle's fragment, if its material is the same everywhere; (nx, ny, nz): its plane's."""
+def _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, fragments, k):
+    """Shading normal and colour of a triangle's fragment, if its material is the same everywhere."""
     slot = np.int64(0)
     if parts.material_index[part] != 0:
         slot = load_i32(parts.material_index[part], triangle)
@@ -218,12 +217,9 @@ def _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, nx, ny, 
     for c in range(3):
         fragments.albedo[k, c] = looks[material, c]
         fragments.emission[k, c] = looks[material, 3 + c]
-    if parts.normals[part] != 0:
-        x, y, z = interpolated_normal(parts, part, triangle, u, v)
-        x, y, z = _carry_normal(normals, row, x, y, z)
-        if x != 0.0 or y != 0.0 or z != 0.0:
-            nx, ny, nz = x, y, z
-    fragments.normal[k, 0], fragments.normal[k, 1], fragments.normal[k, 2] = nx, ny, nz
+    x, y, z = interpolated_normal(parts, part, triangle, u, v)
+    x, y, z = _carry_normal(normals, row, x, y, z)
+    fragments.normal[k, 0], fragments.normal[k, 1], fragments.normal[k, 2] = x, y, z
 
 
 @device

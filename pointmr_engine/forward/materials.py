@@ -45,7 +45,7 @@ class FullShading:
 
         Subpixels of fragments that hold out are emptied in the tile's ids.
         """
-        if not hasattr(space, "shading"):
+        if space.shading is None:
             space.shading = _Space(self)
         own = space.shading
         if len(own.clear) < count:

@@ -7,6 +7,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from pointmr_engine.forward.subpixels import make_view
 from pointmr_engine.forward.tiles import TILE, Workspace
 from pointmr_engine.forward.walk import COUNTERS, Hierarchy
 from pointmr_engine.forward.world_light import WorldLight
+from pointmr_engine.hierarchy.distribution import Distribution, build_distribution
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.octree import build_octree, triangle_corners
 from pointmr_engine.hierarchy.sample_sets import SampleSets
@@ -30,7 +32,7 @@ from pointmr_engine.raytracing.camera import CameraArrays
 from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.raytracing.lamps import compile_lamps
 from pointmr_engine.scene.scene import Scene
-from pointmr_engine.scene.settings import RenderSettings
+from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 
 class Sampler:
@@ -49,17 +51,46 @@ class Sampler:
         self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
         self.ambient = self.world_light.mean
-        self.sets: dict[str, SampleSets] = {}
+        self.sets: dict[tuple, SampleSets] = {}
+        self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
+        self._lock = threading.Lock()
 
-    def sets_of(self, strategy: str, failure: float) -> SampleSets:
-        """The static sample sets made by a strategy."""
-        if strategy not in self.sets:
-            self.sets[strategy] = SampleSets(self.octree, self.baker, strategy, failure=failure)
-        return self.sets[strategy]
+    def space(self, image: Image) -> Workspace:
+        """Buffers for a thread that draws tiles of `image`: those of an earlier image, where they fit."""
+        with self._lock:
+            kept = self._spaces.get(image.fits, [])
+            space = kept.pop() if kept else None
+        if space is None:
+            return image.space()
+        space.begin(image)
+        return space
+
+    def keep(self, image: Image, spaces: list[Workspace]) -> None:
+        """Keep the buffers of an image that is finished; those of other kinds are dropped."""
+        with self._lock:
+            self._spaces = {image.fits: spaces}
+
+    @cached_property
+    def distribution(self) -> Distribution:
+        """What dynamic sampling draws from."""
+        return build_distribution(self.octree)
+
+    def sets_of(self, options: ForwardSettings) -> SampleSets:
+        """The static sample sets that these settings ask for."""
+        key = (options.strategy, options.failure, options.cache_folder)
+        if key not in self.sets:
+            self.sets[key] = SampleSets(
+                self.octree,
+                self.baker,
+                options.strategy,
+                failure=options.failure,
+                folder=options.cache_folder,
+            )
+        return self.sets[key]
 
 
 class Image:
-    """One image by static sampling: everything that its tiles share."""
+    """One image: everything that its tiles share."""
 
     def __init__(self, sampler: Sampler, scene: Scene, camera: CameraArrays, settings: RenderSettings):
         self.sampler, self.camera, self.settings = sampler, camera, settings
@@ -68,7 +99,7 @@ class Image:
             options.reconstruction, options.subpixels
         )
         self.spacing = self.subpixels / options.samples_per_pixel**0.5
-        self.sets = sampler.sets_of(options.strategy, options.failure)
+        self.sets = sampler.sets_of(options)
         self.sigma = scattered.sigma(options.samples_per_pixel)
         kind = "box" if options.reconstruction == "pixel" else settings.pixel_filter
         self.taps = filter_taps(kind, settings.filter_width, self.subpixels)
@@ -84,6 +115,7 @@ class Image:
         self.lamps = compile_lamps(self.scene_lights)[0]
         self.shading = _shading(self)
         self.shadows = options.shadows and bool(self.lamps.cast_shadow.any())
+        self.drawn = None
         self.region = settings.region or (0, 0, settings.width, settings.height)
         index = [0 if m is None else m.pass_index for m in sampler.geometry.materials]
         self.material_index = np.array(index, np.float32)
@@ -94,8 +126,33 @@ class Image:
         pairs = np.unique(np.stack([self.sets.node_group[nodes], levels], 1), axis=0)
         self.sets.require([(int(g), int(level)) for g, level in pairs], lambda fraction: tell(0.0, None))
 
+    @property
+    def fits(self) -> tuple:
+        """What buffers must have been made for to serve this image."""
+        options = self.settings.forward
+        return (
+            options.sampling,
+            options.reconstruction == "analytic",
+            self.subpixels,
+            self.apron,
+            self.settings.forward.shading,
+            self.shadows,
+        )
+
+    def prepare(self, tell) -> None:
+        """What comes before the tiles; tell() may raise to cancel."""
+        if self.settings.forward.sampling == "dynamic":
+            from pointmr_engine.forward.points_method import DrawnPoints
+
+            self.drawn = DrawnPoints(self)
+            self.drawn.draw(tell)
+
     def space(self) -> Workspace:
         """A thread's buffers for tiles."""
+        if self.drawn is not None:
+            from pointmr_engine.forward.points_method import PointSpace
+
+            return PointSpace(self)
         return Workspace(self)
 
     def needs(self) -> dict:
@@ -138,6 +195,9 @@ def _depth_range(camera_from_world: np.ndarray, lower: np.ndarray, upper: np.nda
     return float(middle - half), float(middle + half)
 
 
+_warm = threading.Event()  # every kernel of a tile has run in this process
+
+
 def render_image(
     image: Image, frame: Frame, tell: Callable[[float, tuple[int, int, np.ndarray] | None], None]
 ) -> Counter:
@@ -147,10 +207,14 @@ def render_image(
     cancel.
     """
     x0, y0, x1, y1 = image.region
+    # tiles begin at multiples of their size in the whole image, whatever region of it is rendered
     tiles = [
-        (x, y, min(x + TILE, x1), min(y + TILE, y1)) for y in range(y0, y1, TILE) for x in range(x0, x1, TILE)
+        (max(x, x0), max(y, y0), min(x + TILE, x1), min(y + TILE, y1))
+        for y in range(y0 // TILE * TILE, y1, TILE)
+        for x in range(x0 // TILE * TILE, x1, TILE)
     ]
     total, done = len(tiles), 0
+    image.prepare(lambda: tell(0.0, None))
     local = threading.local()
     spaces: list[Workspace] = []
     lock = threading.Lock()
@@ -160,7 +224,7 @@ def render_image(
         if stop.is_set():
             return bounds, None, None
         if not hasattr(local, "space"):
-            local.space = image.space()
+            local.space = image.sampler.space(image)
             with lock:
                 spaces.append(local.space)
         hierarchy = image.hierarchy()
@@ -172,9 +236,10 @@ def render_image(
     pool = ThreadPoolExecutor(image.settings.threads or os.cpu_count() or 1, thread_name_prefix="pointmr")
     try:
         while tiles:
-            # numba's dispatchers must not meet new types on two threads at once: the first tile runs alone
-            pending = {pool.submit(work, tiles[0])}
-            waiting = tiles[1:]
+            # numba's dispatchers must not meet new types on two threads at once: a process' first tiles run alone
+            alone = 0 if _warm.is_set() else 1
+            pending = {pool.submit(work, bounds) for bounds in (tiles[:1] if alone else tiles)}
+            waiting = tiles[1:] if alone else []
             again: list[tuple[tuple, np.ndarray]] = []
             while pending:
                 finished, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
@@ -195,12 +260,15 @@ def render_image(
                 tell(done / total, None)
             if again:
                 image.build(np.unique(np.concatenate([m for _, m in again])), tell)
+            else:
+                _warm.set()
             tiles = sorted(bounds for bounds, _ in again)
     finally:
         stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
-    counters = Counter()
+    counters = Counter(image.drawn.counts if image.drawn is not None else {})
     for space in spaces:
         counters.update(dict(zip(COUNTERS, space.scratch.counters.tolist(), strict=True)))
-        counters.update(fragments=space.shaded)
+        counters.update(fragments=space.shaded, closed=space.closed)
+    image.sampler.keep(image, spaces)
     return counters

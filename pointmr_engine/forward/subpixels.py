@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.numerics.jit import device
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
 from pointmr_engine.numerics.simd_cover import cover_eight, farthest_row
 from pointmr_engine.raytracing.camera import CameraArrays
 
 BLOCK = 16  # subpixels per side of a block, whose farthest depth occlusion culling reads
 EMPTY = -1  # in `ids`
+SAME = 1e-4  # of their depth: what lies no farther behind its neighbours is one surface with them
 
 
 class View(NamedTuple):
@@ -223,3 +224,51 @@ def is_hidden(target, width, height, x0, y0, x1, y1, nearness):
             target.farthest[j, i] = least
             target.stale[j, i] = 0
     return True
+
+
+@uncounted
+def close_gaps(target, width, height, surfel):
+    """Fill what is open between ellipses of one surface, one or two subpixels wide; returns how many were filled.
+
+    A subpixel is open when solid surfels on both sides of it - left and right, or below and above - lie nearer, and much closer to
+    each other in depth than to what it shows. surfel (E,) int64: Entries.surfel. Triangles and clumps have no such gaps.
+    """
+    depth, ids = target.depth, target.ids
+    filled = np.int64(0)
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            w = depth[y, x]
+            a, b = depth[y, x - 1], depth[y, x + 1]
+            if a > w:
+                if b <= w and x + 2 < width:
+                    b = depth[y, x + 2]
+                    other = ids[y, x + 2]
+                else:
+                    other = ids[y, x + 1]
+                if b > w and _one_surface(a, b, w, ids[y, x - 1], other, surfel):
+                    depth[y, x] = min(a, b)
+                    ids[y, x] = ids[y, x - 1]
+                    filled += 1
+                    continue
+            a, b = depth[y - 1, x], depth[y + 1, x]
+            if a > w:
+                if b <= w and y + 2 < height:
+                    b = depth[y + 2, x]
+                    other = ids[y + 2, x]
+                else:
+                    other = ids[y + 1, x]
+                if b > w and _one_surface(a, b, w, ids[y - 1, x], other, surfel):
+                    depth[y, x] = min(a, b)
+                    ids[y, x] = ids[y - 1, x]
+                    filled += 1
+    return filled
+
+
+@device
+def _one_surface(a, b, w, left, right, surfel):
+    """Whether two entries, at nearness a and b, are solid surfels of one surface before something at w."""
+    gap = min(a, b) - w
+    if abs(a - b) * np.float32(4) > gap or gap < np.float32(SAME) * min(a, b):
+        return False
+    s, t = surfel[left], surfel[right]
+    return s >= 0 and t >= 0 and (s | t) & 1 == 0

@@ -15,7 +15,7 @@ from pointmr_engine.forward.fragments import (
 from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
 from pointmr_engine.forward.scattered import add_empty, add_fragments, count_shown, divide
 from pointmr_engine.forward.shadow_map import ShadowMaps
-from pointmr_engine.forward.subpixels import allocate_target, clear
+from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps
 from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
 from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.scene.group import CAMERA
@@ -31,18 +31,12 @@ class Workspace:
     """
 
     def __init__(self, image):
-        self.image = image
         side = (TILE + 2 * image.apron) * image.subpixels
         self.target = allocate_target(side, side)
         self.scratch = Scratch(self.target)
         self.fragments = allocate_fragments(side * side)  # at most; untouched pages cost nothing
         self.fragment_of = np.empty(1 << 16, np.int32)
         self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
-        self.shaded = 0
-        self.shadow = np.zeros(
-            (0, 0), np.float32
-        )  # (lamps, fragments) share of light that arrives; or nothing
-        self.shadow_maps = ShadowMaps(image) if image.shadows else None
         self.placed = allocate_placement_values(0)
         self.light = np.empty((side * side, 3), np.float32)
         self.sums = np.empty((TILE, 4 * side), np.float32)
@@ -51,14 +45,31 @@ class Workspace:
         self.line = np.empty((side, 4), np.float32)
         self.corners = np.empty((3, 3))
         self.background = np.zeros((TILE + 2 * image.apron, TILE + 2 * image.apron, 4), np.float32)
+        self.begin(image)
 
-    def draw(self, bounds, hierarchy: Hierarchy) -> np.ndarray | None:
-        """Walk for a tile x0, y0, x1, y1 of pixels; returns the nodes whose sets it misses, None if it is complete."""
-        image, s, a = self.image, self.image.subpixels, self.image.apron
+    def begin(self, image) -> None:
+        """Turn to another image, for which these buffers fit (method.Image.fits)."""
+        self.image = image
+        self.shaded = self.closed = 0
+        self.scratch.counters[:] = 0
+        self.shadow = np.zeros(
+            (0, 0), np.float32
+        )  # (lamps, fragments) share of light that arrives; or nothing
+        self.shadow_maps = ShadowMaps(image) if image.shadows else None
+        self.shading = None  # what the image's shading keeps for this thread
+
+    def start_tile(self, bounds) -> None:
+        """Empty the target for a tile x0, y0, x1, y1 of pixels, and an apron around it."""
+        s, a = self.image.subpixels, self.image.apron
         x0, y0, x1, y1 = bounds
         self.left, self.low = (x0 - a) * s, (y0 - a) * s
         self.width, self.height = (x1 - x0 + 2 * a) * s, (y1 - y0 + 2 * a) * s
         clear(self.target, self.width)
+
+    def draw(self, bounds, hierarchy: Hierarchy) -> np.ndarray | None:
+        """Walk for a tile x0, y0, x1, y1 of pixels; returns the nodes whose sets it misses, None if it is complete."""
+        image, s = self.image, self.image.subpixels
+        self.start_tile(bounds)
         counters = self.scratch.counters
         waiting = counters[WAITING]
         self.entries = walk(
@@ -91,6 +102,9 @@ class Workspace:
         if len(self.fragment_of) < self.entries:
             self.fragment_of = np.empty(2 * self.entries, np.int32)
         self.fragment_of[: self.entries] = -1
+        self.closed += close_gaps(
+            self.target, np.int64(self.width), np.int64(self.height), self.scratch.entries.surfel
+        )
         count = find_fragments(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.image.subpixels),
             self.scratch.entries, self.fragment_of, self.empty, self.fragments,

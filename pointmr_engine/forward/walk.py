@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries, draw_set, set_constants
+from pointmr_engine.forward.draw import Entries, box_is_behind, draw_set, set_constants
 from pointmr_engine.forward.draw_triangles import draw_triangles
 from pointmr_engine.forward.subpixels import Target, View, clear, is_hidden, mark_drawn
 from pointmr_engine.forward.surfel_lanes import CONSTANTS, LANE_ROWS
@@ -25,11 +25,14 @@ from pointmr_engine.forward.transforms import (
     compose_root,
     grow_transforms,
 )
-from pointmr_engine.hierarchy.octree import SPACING
+from pointmr_engine.hierarchy.octree import CHAIN, SPACING
 from pointmr_engine.hierarchy.sample_sets import NOT_YET
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
 
+FINE = (
+    2048  # subpixels: bounds up to this size are compared with every depth in them, larger ones with blocks
+)
 SMALL = 1.5  # pixels: triangles no larger are shaded once, not in every pixel
 DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
 COUNTERS = (
@@ -199,14 +202,32 @@ def _stretch(matrix, row):
 
 
 @device
-def _add(
-    view, hierarchy, heap, sizes, transforms, node, row, pad, box, bounds, left, low, width, height, counters
-):
+def _is_hidden(view, target, width, height, x0, y0, x1, y1, front):
+    """Whether something nearer than depth `front` is drawn everywhere between these subpixels of the tile."""
+    w = view.depth_shift - front * view.depth_scale
+    if view.perspective:
+        if front <= view.near:
+            return False
+        w = 1.0 / front
+    if (x1 - x0) * (y1 - y0) < FINE:
+        f = np.float32
+        return box_is_behind(target, f(width), f(height), f(x0), f(y0), f(x1), f(y1), f(w))
+    return is_hidden(target, width, height, x0, y0, x1, y1, w)
+
+
+@device
+def _add(view, hierarchy, heap, sizes, transforms, node, row, pad, box, bounds, left, low, width, height, counters,
+         target, culling):  # fmt: skip
     """Put a node on the heap if it can be seen. sizes: of the heap, and slots used; False: no room."""
     box_to_camera(transforms.matrix, row, hierarchy.octree.box, node, box)
     counters[0] += 1
     if not bound_in_tile(view, box, pad, left, low, width, height, bounds):
         counters[1] += 1
+        return True
+    if culling and _is_hidden(
+        view, target, width, height, bounds[0], bounds[1], bounds[2], bounds[3], box[2] - pad
+    ):
+        counters[2] += 1
         return True
     slot = sizes[1]
     if slot >= len(heap.key):
@@ -221,6 +242,33 @@ def _add(
     return True
 
 
+@device
+def _distortion(view, x0, y0, x1, y1):
+    """How much longer lengths become away from the view axis, at most, between these subpixels (talk: distortion factor)."""
+    if not view.perspective:
+        return 1.0
+    x = max(abs(x0 - view.shift_x), abs(x1 - view.shift_x)) / view.scale_x
+    y = max(abs(y0 - view.shift_y), abs(y1 - view.shift_y)) / view.scale_y
+    return math.sqrt(1.0 + x * x + y * y)
+
+
+@device
+def _entrance(octree, matrix, row, factor, group, view, box):
+    """The node at which the walk enters a group: its root, or as far down the levels above its cell as will be needed.
+
+    factor: by which a spacing in the group may be multiplied to have the depth from which on it is dense enough.
+    """
+    node = np.int64(octree.group_root[group])
+    box_to_camera(matrix, row, octree.box, node, box)
+    near = box[2] if view.perspective else 1.0
+    while octree.level[node] < CHAIN:
+        coarse = octree.side[node] * SPACING * factor > near
+        if not coarse or octree.items[node, 2] > octree.items[node, 0] or octree.child[node, 1] != 1:
+            break
+        node = np.int64(octree.child[node, 0])
+    return node
+
+
 @uncounted
 def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, target, entries, heap, transforms,
           scale, box, bounds, corners, constants, lanes, address, wanted, culling, small, used, counters):  # fmt: skip
@@ -231,20 +279,15 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
     if root < 0 or octree.group_root[root] < 0:
         return DONE
     sizes = used[2:4]
-    # how much longer lengths become away from the view axis (talk: distortion factor), at the tile's farthest corner
-    stretch = 1.0
-    if view.perspective:
-        far_x = max(abs(left - view.shift_x), abs(right - view.shift_x)) / view.scale_x
-        far_y = max(abs(low - view.shift_y), abs(high - view.shift_y)) / view.scale_y
-        stretch = math.sqrt(1.0 + far_x * far_x + far_y * far_y)
-    focal = max(view.scale_x, view.scale_y) * stretch
+    focal = max(view.scale_x, view.scale_y)
     compose_root(transforms, camera_from_world, octree, root, np.int64(0))
     scale[0] = _stretch(transforms.matrix, np.int64(0))
     rows = np.int64(1)
     count = np.int64(0)
+    unculled = culling and count > 0  # a bool like `culling`, not a literal, which would compile _add twice
     top = np.int64(octree.group_root[root])
     _add(view, hierarchy, heap, sizes, transforms, top, np.int64(0), octree.side[top] * SPACING * scale[0],
-         box, bounds, left, low, width, height, counters)  # fmt: skip
+         box, bounds, left, low, width, height, counters, target, unculled)  # fmt: skip
     while sizes[0] > 0:
         near, slot = np.float64(heap.key[0]), np.int64(heap.slot[0])
         _pop(heap, sizes[0])
@@ -254,15 +297,12 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
         x1, y1 = np.float64(heap.bounds[slot, 2]), np.float64(heap.bounds[slot, 3])
         apart = octree.side[node] * SPACING * scale[row]
         if culling and count > 0:
-            front = near - apart
-            w = view.depth_shift - front * view.depth_scale
-            if view.perspective:
-                w = 1.0 / front if front > view.near else math.inf
-            if is_hidden(target, width, height, x0, y0, x1, y1, w):
+            hidden = _is_hidden(view, target, width, height, x0, y0, x1, y1, near - apart)
+            if hidden:
                 counters[2] += 1
                 continue
         own, large, own_end = octree.items[node, 0], octree.items[node, 1], octree.items[node, 2]
-        projected = apart * focal
+        projected = apart * focal * _distortion(view, left + x0, low + y0, left + x1, low + y1)
         dense = projected <= spacing
         if view.perspective:
             dense = near > 0.0 and projected <= spacing * near
@@ -298,7 +338,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
             drawn = own_end
             for c in range(octree.child[node, 0], octree.child[node, 0] + octree.child[node, 1]):
                 if not _add(view, hierarchy, heap, sizes, transforms, np.int64(c), row, 0.5 * apart, box, bounds,
-                            left, low, width, height, counters):  # fmt: skip
+                            left, low, width, height, counters, target, unculled):  # fmt: skip
                     return HEAP_FULL
         i, ready = np.int64(own), dense and first >= 0
         while i < drawn:
@@ -310,10 +350,12 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 counters[6] += 1
                 scale[rows] = _stretch(transforms.matrix, rows)
                 slots = sizes[1]
-                start = np.int64(octree.group_root[group])
+                start = _entrance(
+                    octree, transforms.matrix, rows, scale[rows] * focal / spacing, group, view, box
+                )
                 if not _add(view, hierarchy, heap, sizes, transforms, start, rows,
                             octree.side[start] * SPACING * scale[rows], box, bounds, left, low, width, height,
-                            counters):  # fmt: skip
+                            counters, target, culling):  # fmt: skip
                     return HEAP_FULL
                 if sizes[1] > slots:
                     rows += 1

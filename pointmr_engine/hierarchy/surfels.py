@@ -1,4 +1,4 @@
-"""Surfels: samples that carry the moments of the piece of surface that they stand for (science: moment-matched surfels).
+"""Surfels: samples that carry the moments of the piece of surface that they stand for (moment-matched surfels).
 
 A surfel is a row of float32 in its group's space: where its piece's centroid lies, the piece's area and covariance, the
 area-weighted mean of its normals - shorter than one where they differ - and of its colour. Kernels here place surfels
@@ -22,16 +22,18 @@ class Surfels(NamedTuple):
     """S samples. `row` is all that drawing with simple shading reads; the rest is read for visible samples only."""
 
     row: np.ndarray  # (S, 16) float32: columns X to BLUE; positions relative to the group's centre
-    emission: np.ndarray  # (S, 3) float32 radiance
+    emission: (
+        np.ndarray
+    )  # (S, 3) float32 radiance; or (1, 3), that of all: surfels that do not emit need no memory
     source: np.ndarray  # (S, 2) int32: part and triangle in its shape that represent the piece
     place: np.ndarray  # (S, 2) float32: barycentric weights of that triangle's vertices 1 and 2
 
 
 def allocate_surfels(n: int) -> Surfels:
-    """Room for n surfels, undefined."""
+    """Room for n surfels, undefined; they do not emit."""
     return Surfels(
         np.empty((n, COLUMNS), np.float32),
-        np.empty((n, 3), np.float32),
+        np.zeros((1, 3), np.float32),
         np.empty((n, 2), np.int32),
         np.empty((n, 2), np.float32),
     )
@@ -39,14 +41,33 @@ def allocate_surfels(n: int) -> Surfels:
 
 def joined(parts: list[Surfels]) -> Surfels:
     """All surfels of the list, one after the other."""
-    if not parts:
-        return allocate_surfels(0)
-    return parts[0] if len(parts) == 1 else Surfels(*(np.concatenate(c) for c in zip(*parts, strict=True)))
+    parts = [p for p in parts if len(p.row)]
+    if len(parts) < 2:
+        return parts[0] if parts else allocate_surfels(0)
+    emission = np.zeros((1, 3), np.float32)
+    if any(p.emission.any() for p in parts):
+        emission = np.concatenate([np.broadcast_to(p.emission, (len(p.row), 3)) for p in parts])
+    columns = (np.concatenate(c) for c in zip(*((p.row, p.source, p.place) for p in parts), strict=True))
+    row, source, place = columns
+    return Surfels(row, emission, source, place)
 
 
 def chosen(surfels: Surfels, rows) -> Surfels:
     """The surfels at `rows` (a slice or an index array)."""
-    return Surfels(*(column[rows] for column in surfels))
+    row, emission, source, place = surfels
+    emission = emission if len(emission) == 1 else emission[rows]
+    if not len(emission):
+        emission = np.zeros((1, 3), np.float32)
+    return Surfels(row[rows], emission, source[rows], place[rows])
+
+
+def repeated(surfels: Surfels, times: int) -> Surfels:
+    """The surfels so many times over, all but their rows, which are undefined."""
+    row, emission, source, place = surfels
+    if len(emission) > 1:
+        emission = np.tile(emission, (times, 1))
+    rows = np.empty((len(row) * times, COLUMNS), np.float32)
+    return Surfels(rows, emission, np.tile(source, (times, 1)), np.tile(place, (times, 1)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -108,10 +129,13 @@ def merge_surfels(rows, emission, owner, representative, out, out_emission):
 
     rows (C, 16), emission (C, 3), owner (C,) int32 (-1: none), representative (K,) int32 row of `rows`: normals are
     taken on its side, since a surface seen from behind looks the same. Owners without area become empty (AREA 0).
+    An out_emission of one row is left as it is: nothing emits.
     """
     count = len(representative)
     sums = np.zeros((count, COLUMNS))
-    light = np.zeros((count, 3))
+    glows = len(out_emission) == count
+    last = len(emission) - 1
+    light = np.zeros((len(out_emission), 3))
     for c in range(len(rows)):
         k = owner[c]
         if k < 0:
@@ -141,8 +165,9 @@ def merge_surfels(rows, emission, owner, representative, out, out_emission):
         sums[k, NZ] += turned * rows[c, NZ]
         for q in range(RED, COLUMNS):
             sums[k, q] += w * rows[c, q]
-        for q in range(3):
-            light[k, q] += w * emission[c, q]
+        if glows:
+            for q in range(3):
+                light[k, q] += w * emission[min(c, last), q]
     for k in range(count):
         w = sums[k, AREA]
         r = representative[k]
@@ -150,7 +175,9 @@ def merge_surfels(rows, emission, owner, representative, out, out_emission):
         if not w > 0.0:
             for q in range(COLUMNS):
                 out[k, q] = np.float32(0)
-            out_emission[k, :] = np.float32(0)
+            if glows:
+                for q in range(3):
+                    out_emission[k, q] = np.float32(0)
             continue
         s = 1.0 / w
         x, y, z = sums[k, X] * s, sums[k, Y] * s, sums[k, Z] * s
@@ -160,5 +187,6 @@ def merge_surfels(rows, emission, owner, representative, out, out_emission):
         out[k, YZ], out[k, ZZ] = sums[k, YZ] * s - y * z, sums[k, ZZ] * s - z * z
         for q in range(NX, COLUMNS):
             out[k, q] = sums[k, q] * s
-        for q in range(3):
-            out_emission[k, q] = light[k, q] * s
+        if glows:
+            for q in range(3):
+                out_emission[k, q] = light[k, q] * s

@@ -33,11 +33,9 @@ def sort_into_cells(position: np.ndarray, side: float, shift: np.ndarray | None 
     Raises SceneError if the side is so small against the extent that float32 positions could not tell the cells apart.
     """
     n = len(position)
-    low, high = (
-        (position.min(axis=0), position.max(axis=0))
-        if n
-        else (np.zeros(3, np.float32), np.zeros(3, np.float32))
-    )
+    low, high = np.zeros(3, np.float32), np.zeros(3, np.float32)
+    for k in range(3 if n else 0):  # numpy takes ten times as long along the first axis
+        low[k], high[k] = position[:, k].min(), position[:, k].max()
     origin = low.astype(np.float64) - side * (2.0 + (np.zeros(3) if shift is None else shift))
     if (high.astype(np.float64) - origin).max() / side > _LIMIT:
         raise SceneError(f"a spacing of {side:g} is too fine for points {(high - low).max():g} apart")

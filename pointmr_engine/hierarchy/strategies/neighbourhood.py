@@ -34,7 +34,7 @@ def select(
     else:
         direction = np.empty(3)
         uniforms(seed_key(seed, 5), direction)
-        turn, tries = np.argsort(near @ (direction - 0.5), kind="stable").astype(np.int32), _TRIES
+        turn, tries = _rising(near @ (direction - 0.5)), _TRIES
     owner, chosen = np.full(n, -1, np.int32), np.empty(n, np.int32)
     count = _eliminate(
         neighbour_ranges(cells),
@@ -55,7 +55,25 @@ def select(
     return Selection(position[chosen], chosen, result)
 
 
+def _rising(values: np.ndarray) -> np.ndarray:
+    """(n,) int32 order of float64 values, equal ones by their places: as a stable sort, in a quarter of its time."""
+    order = np.argsort(values).astype(np.int32)
+    _order_equal(values, order)
+    return order
+
+
 _jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def _order_equal(values, order):
+    first = 0
+    for k in range(1, len(order) + 1):
+        if k < len(order) and values[order[k]] == values[order[first]]:
+            continue
+        if k - first > 1:
+            order[first:k] = np.sort(order[first:k])
+        first = k
 
 
 @_jit
