@@ -77,7 +77,11 @@ class Sampler:
 
     def sets_of(self, options: ForwardSettings) -> SampleSets:
         """The static sample sets that these settings ask for."""
-        key = (options.strategy, options.failure, options.cache_folder)
+        key = (
+            options.strategy,
+            options.failure if options.strategy == "random" else 0.0,
+            options.cache_folder,
+        )
         if key not in self.sets:
             self.sets[key] = SampleSets(
                 self.octree,
@@ -124,7 +128,7 @@ class Image:
         """Build the sample sets that `nodes` wait for."""
         levels = self.sampler.octree.arrays.level[nodes]
         pairs = np.unique(np.stack([self.sets.node_group[nodes], levels], 1), axis=0)
-        self.sets.require([(int(g), int(level)) for g, level in pairs], lambda fraction: tell(0.0, None))
+        self.sets.require(pairs, lambda fraction: tell(0.0, None), self.settings.threads)
 
     @property
     def fits(self) -> tuple:
@@ -160,6 +164,7 @@ class Image:
         return {
             "sample_sets": len(self.sets.built),
             "samples": self.sets.used,
+            **self.sets.statistics(),
             "octree_nodes": len(self.sampler.octree.arrays.box),
         }
 
