@@ -111,6 +111,8 @@ def test_border_shows_the_same_part_of_the_scene(scene, tmp_path):
 )
 def test_kept_sample_sets_give_the_same_image(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(preferences, "sample_folder", lambda: str(tmp_path / "sets"))
+    # the cube is drawn as it is: sets are made of triangles that are smaller than the samples
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=0.8, location=(0, 0, 1.5))
     first = combined(render(scene, tmp_path / "first.exr"))
     assert not (tmp_path / "sets").exists()
     scene.pointmr.forward_keep_sets = True
