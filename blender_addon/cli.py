@@ -102,7 +102,7 @@ FORWARD = {
     "forward_draws": ("NAME", "dynamic: random, stratified, poisson"),
     "forward_strategy": ("NAME", "static: random, jittered_grid, quantised_grid, neighbourhood"),
     "forward_reconstruction": ("NAME", "pixel, gaussian, subpixel, analytic"),
-    "forward_subpixels": ("N", "subpixels along a pixel's side: 4, 8"),
+    "forward_subpixels": ("N", "subpixels along a pixel's side: 2, 4, 8"),
     "forward_shading": ("NAME", "simple: colours as when sampled; full: materials at what is visible"),
     "forward_shadows": (None, "shadows by depth maps"),
     "forward_backface_culling": (None, "leave out surfaces seen from behind"),

@@ -26,7 +26,7 @@ DRAWS = ("random", "stratified", "poisson")
 STRATEGIES = ("random", "jittered_grid", "quantised_grid", "neighbourhood")
 RECONSTRUCTIONS = ("pixel", "gaussian", "subpixel", "analytic")
 SHADINGS = ("simple", "full")
-SUBPIXELS = (4, 8)
+SUBPIXELS = (2, 4, 8)
 SAMPLES_PER_PIXEL = (0.05, 64.0)
 
 

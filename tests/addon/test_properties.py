@@ -48,7 +48,7 @@ def test_enum_items_have_fixed_numbers():
     assert numbers("forward_sampling") == {"STATIC": 0, "DYNAMIC": 1}
     assert numbers("forward_draws") == {"RANDOM": 0, "STRATIFIED": 1, "POISSON": 2}
     assert numbers("forward_reconstruction") == {"PIXEL": 0, "GAUSSIAN": 1, "SUBPIXEL": 2, "ANALYTIC": 3}
-    assert numbers("forward_subpixels") == {"4": 4, "8": 8}
+    assert numbers("forward_subpixels") == {"2": 2, "4": 4, "8": 8}
     assert numbers("forward_shading") == {"SIMPLE": 0, "FULL": 1}
     assert numbers("forward_strategy") == {
         "RANDOM": 0,

@@ -17,7 +17,7 @@ from pointmr_engine import ForwardSettings, RenderSettings, SceneError
         ("strategy", ["random", "jittered_grid", "quantised_grid", "neighbourhood"], ["grid"]),
         ("reconstruction", ["pixel", "gaussian", "subpixel", "analytic"], ["box"]),
         ("shading", ["simple", "full"], ["none"]),
-        ("subpixels", [4, 8], [0, 1, 5, 16]),
+        ("subpixels", [2, 4, 8], [0, 1, 5, 16]),
         ("samples_per_pixel", [0.05, 1.0, 64.0], [0.0, 0.049, 64.1, -1.0, math.nan, math.inf]),
         ("epsilon", [1e-3, 0.5, 8.0], [0.0, -0.5, math.nan, math.inf]),
         ("failure", [1e-9, 0.5], [0.0, 1.0, -0.1, math.nan]),
