@@ -26,7 +26,11 @@ from pointmr_engine.hierarchy.sample_sets import NOT_YET, SampleSets
 from pointmr_engine.shading.program import compile_graph
 
 # name -> (what flies, settings, the talk's figure of 2004)
+MOVING = {"samples_per_pixel": 0.25, "subpixels": 2}  # the viewport's density while one moves
 CASES = {
+    "moving_4e8": (lambda v: scenes.forest(5000, v), MOVING, "4 frames/s"),
+    "moving_6e9": (lambda v: scenes.forest(72_000, v), MOVING, "-"),
+    "moving_1e15": (lambda v: scenes.land(v), MOVING, "5-10 frames/s"),
     "static_4e8": (lambda v: scenes.forest(5000, v), {}, "4 frames/s"),
     "static_6e9": (lambda v: scenes.forest(72_000, v), {}, "-"),
     "static_1e15": (lambda v: scenes.land(v), {}, "5-10 frames/s"),
