@@ -94,7 +94,7 @@ def find_fragments(ids, width, height, subpixels, entries: Entries, fragment_of,
 
 
 @device
-def _ray(view, x, y):
+def ray_through(view, x, y):
     """Camera-space direction (perspective, z = 1) or place (orthographic) of a point of the whole image, in subpixels."""
     return (x - view.shift_x) / view.scale_x, (y - view.shift_y) / view.scale_y
 
@@ -172,8 +172,8 @@ def fill_fragments(
         i = (-1 - s) >> 1
         part, triangle = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
         triangle_to_camera(m, row, all_corners, i, corners)
-        dx, dy = _ray(view, left + fragments.x[k], low + fragments.y[k])
-        u, v = _meet(view, corners, dx, dy)
+        dx, dy = ray_through(view, left + fragments.x[k], low + fragments.y[k])
+        u, v = meet_plane(view, corners, dx, dy)
         u, v = max(u, 0.0), max(v, 0.0)
         if u + v > 1.0:
             u, v = u / (u + v), v / (u + v)
@@ -200,11 +200,11 @@ def fill_fragments(
             ny * scale,
             nz * scale,
         )
-        _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, fragments, k)
+        fill_look(parts, looks, normals, row, part, triangle, u, v, fragments, k)
 
 
 @device
-def _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, fragments, k):
+def fill_look(parts, looks, normals, row, part, triangle, u, v, fragments, k):
     """Shading normal and colour of a triangle's fragment, if its material is the same everywhere."""
     slot = np.int64(0)
     if parts.material_index[part] != 0:
@@ -223,7 +223,7 @@ def _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, fragment
 
 
 @device
-def _meet(view, p, dx, dy):
+def meet_plane(view, p, dx, dy):
     """Barycentric weights of vertices 1 and 2 where the ray through (dx, dy) meets the triangle's plane."""
     if view.perspective:
         ox, oy, oz, rx, ry, rz = 0.0, 0.0, 0.0, dx, dy, 1.0

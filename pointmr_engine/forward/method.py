@@ -119,7 +119,10 @@ class Image:
         self.lamps = compile_lamps(self.scene_lights)[0]
         self.shading = _shading(self)
         self.shadows = options.shadows and bool(self.lamps.cast_shadow.any())
-        self.drawn = None
+        self.drawn, self.space_of = (
+            None,
+            Workspace,
+        )  # what tiles show that was found before them, and their buffers
         self.region = settings.region or (0, 0, settings.width, settings.height)
         index = [0 if m is None else m.pass_index for m in sampler.geometry.materials]
         self.material_index = np.array(index, np.float32)
@@ -145,19 +148,20 @@ class Image:
 
     def prepare(self, tell) -> None:
         """What comes before the tiles; tell() may raise to cancel."""
-        if self.settings.forward.sampling == "dynamic":
-            from pointmr_engine.forward.points_method import DrawnPoints
+        if self.settings.forward.reconstruction == "analytic":
+            from pointmr_engine.forward.analytic import PolygonSpace, VisiblePolygons
 
-            self.drawn = DrawnPoints(self)
+            self.drawn, self.space_of = VisiblePolygons(self), PolygonSpace
+            self.drawn.find(tell)
+        elif self.settings.forward.sampling == "dynamic":
+            from pointmr_engine.forward.points_method import DrawnPoints, PointSpace
+
+            self.drawn, self.space_of = DrawnPoints(self), PointSpace
             self.drawn.draw(tell)
 
     def space(self) -> Workspace:
         """A thread's buffers for tiles."""
-        if self.drawn is not None:
-            from pointmr_engine.forward.points_method import PointSpace
-
-            return PointSpace(self)
-        return Workspace(self)
+        return self.space_of(self)
 
     def needs(self) -> dict:
         """What this image required, for the frame's statistics."""

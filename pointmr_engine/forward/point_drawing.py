@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.forward.draw import draw_triangle, to_target
-from pointmr_engine.forward.fragments import _look_of_triangle, _meet, _ray
+from pointmr_engine.forward.fragments import fill_look, meet_plane, ray_through
 from pointmr_engine.forward.subpixels import cover_ellipse, cover_run
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import load_f32, load_i32
@@ -213,8 +213,8 @@ def fill_point_fragments(
         else:
             part, triangle = np.int64(triangles.part[i]), np.int64(triangles.triangle[i])
             corners = triangles.corners[i]
-            dx, dy = _ray(view, left + fragments.x[k], low + fragments.y[k])
-            u, v = _meet(view, corners, dx, dy)
+            dx, dy = ray_through(view, left + fragments.x[k], low + fragments.y[k])
+            u, v = meet_plane(view, corners, dx, dy)
             u, v = max(u, 0.0), max(v, 0.0)
             if u + v > 1.0:
                 u, v = u / (u + v), v / (u + v)
@@ -227,4 +227,4 @@ def fill_point_fragments(
         fragments.triangle[k] = triangle
         fragments.place[k, 0], fragments.place[k, 1] = u, v
         fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = nx, ny, nz
-        _look_of_triangle(parts, looks, normals, row, part, triangle, u, v, fragments, k)
+        fill_look(parts, looks, normals, row, part, triangle, u, v, fragments, k)
