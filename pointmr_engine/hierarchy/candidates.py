@@ -185,10 +185,14 @@ class Candidates:
 
     def _covers(self, item: np.ndarray, spacing: float):
         """(batch, group, its level, rows of `item`) of instances (n, 2) that take the same cover."""
+        if not len(item):
+            return
         tables = self.octree.geometry.instances
         order = np.argsort(item[:, 0], kind="stable")[::-1]
         batches, first = np.unique(-1 - item[order, 0], return_index=True)
-        for batch, rows in zip(batches.tolist(), np.split(order, first[1:]), strict=True):
+        for batch, rows in zip(
+            batches.tolist(), np.split(order, first[1:]) if len(batches) else (), strict=True
+        ):
             rows = np.sort(rows)
             placement = item[rows, 1]
             at, stride = tables.group[batch]

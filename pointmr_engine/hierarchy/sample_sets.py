@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.candidates import Candidates, Looks
+from pointmr_engine.hierarchy.exposure import exposure
 from pointmr_engine.hierarchy.octree import CHAIN, LEAF_TRIANGLES, SPACING, Octree
 from pointmr_engine.hierarchy.set_files import SetFiles, StoredSets
 from pointmr_engine.hierarchy.strategies import select
@@ -36,6 +37,10 @@ NEVER, NOT_YET = -1, -2  # in SetArrays.sets[:, 0]: the node has no set; its set
 # Below a cell that fits its group, nodes of fewer instances have no set: their groups' sets serve. Groups of many
 # instances would need too much memory for as many sets as groups of few, of which the walk may meet millions.
 INSTANCES_OF_SET, INSTANCES_OF_LARGE_SET, LARGE_GROUP = 3, 32, 4096
+EXPOSED = (
+    CHAIN + 1
+)  # up to this level samples are so far apart that what is hidden inside a group must not mix in
+EXPOSED_CELLS = 64  # of a group's side: how finely it is looked at to tell
 PIECE = 0.5  # of the spacing: the size that triangles are cut to before samples are chosen
 CANDIDATE = 0.5  # of the spacing: the spacing of the surfels that stand for an instance among the candidates
 SLACK = 8  # rows past the last surfel that may be read, for kernels that take several at once
@@ -74,16 +79,26 @@ class SampleSets:
     ):
         self.octree = octree
         self.strategy, self.seed, self.failure = strategy, seed, failure
-        constants = (INSTANCES_OF_SET, INSTANCES_OF_LARGE_SET, LARGE_GROUP, PIECE, CANDIDATE, CHUNK, LATTICE)
-        self.files = (
-            SetFiles(folder, octree.geometry, (strategy, seed, failure, constants)) if folder else None
+        constants = (
+            INSTANCES_OF_SET,
+            INSTANCES_OF_LARGE_SET,
+            LARGE_GROUP,
+            EXPOSED,
+            EXPOSED_CELLS,
+            PIECE,
+            CANDIDATE,
+            CHUNK,
+            LATTICE,
         )
+        how = (strategy, seed, failure if strategy == "random" else 0.0)
+        self.files = SetFiles(folder, octree.geometry, (how, constants)) if folder else None
         self.surfels = allocate_surfels(1 << 12)
         self.used = 0
         self.built: dict[tuple[int, int], tuple[int, int]] = {}  # (group, level) -> surfels' interval
         self.made = self.loaded = 0  # of those that are built, how many by sampling and how many from files
         self._ready: dict[tuple[int, int], StoredSets] = {}  # on the way to `built`
         self._covers: dict[tuple[int, int], Surfels] = {}
+        self._exposures: dict[tuple, np.ndarray] = {}
         self._candidates = Candidates(octree, looks, self.cover)
         self._lock, self._counting = threading.RLock(), threading.Lock()
         self._locks: dict[tuple, threading.Lock] = {}
@@ -263,14 +278,20 @@ class SampleSets:
         while start < len(nodes):
             before = weight[start - 1] if start else 0.0
             stop = max(start + 1, int(np.searchsorted(weight, before + CHUNK, side="right")))
-            self._sample_nodes(g, ranges[start:stop], spacing, parts)
+            whole = stop - start == len(nodes) and level <= EXPOSED
+            self._sample_nodes(g, ranges[start:stop], spacing, parts, whole)
             start = stop
         counts = np.concatenate([p.counts for p in parts]) if parts else np.zeros(0, np.int64)
         return StoredSets(counts, joined([p.surfels for p in parts]))
 
-    def _sample_nodes(self, g: int, ranges: np.ndarray, spacing: float, out: list[StoredSets]) -> None:
-        """Append the sets of the nodes with items in `ranges` (N, 2) to `out`."""
-        candidates, node = self._candidates.gather(g, ranges, spacing * PIECE, spacing * CANDIDATE)
+    def _sample_nodes(
+        self, g: int, ranges: np.ndarray, spacing: float, out: list[StoredSets], whole: bool = False
+    ) -> None:
+        """Append the sets of the nodes with items in `ranges` (N, 2) to `out`; whole: they are all that is in the group."""
+        if whole:
+            candidates, node = self._exposed(g, ranges, spacing)
+        else:
+            candidates, node = self._candidates.gather(g, ranges, spacing * PIECE, spacing * CANDIDATE)
         if not len(node):
             out.append(StoredSets(np.zeros(len(ranges), np.int64), candidates))
             return
@@ -299,6 +320,20 @@ class SampleSets:
             made.emission[:] = candidates.emission
         merge_surfels(candidates.row, candidates.emission, owner, representative, made.row, made.emission)
         out.append(StoredSets(np.bincount(home, minlength=len(ranges)), made))
+
+    def _exposed(self, g: int, ranges: np.ndarray, spacing: float) -> tuple[Surfels, np.ndarray]:
+        """Candidates as `Candidates.gather` has them, fine enough to tell what hides what; hidden ones lose area."""
+        fine = float(self.octree.arrays.group_side[g]) / EXPOSED_CELLS
+        candidates, node = self._candidates.gather(
+            g, ranges, min(spacing * PIECE, 4.0 * fine), min(spacing * CANDIDATE, fine)
+        )
+        key = g, len(node), int(ranges[0, 0]) if len(ranges) else 0, int(ranges[:, 1].max(initial=0))
+        with self._locks.setdefault(("exposed", g), threading.Lock()):
+            if key not in self._exposures:
+                self._exposures[key] = exposure(candidates.row)
+        row = candidates.row.copy()
+        row[:, AREA] *= self._exposures[key]
+        return candidates._replace(row=row), node
 
     # What stands for a group's surface
 
