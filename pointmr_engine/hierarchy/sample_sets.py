@@ -171,6 +171,7 @@ class SampleSets:
                 self._take(wanted)
             finally:
                 self._candidates.clear()
+                self._exposures.clear()
 
     def release(self) -> None:
         """Forget what only helps to build further levels."""
