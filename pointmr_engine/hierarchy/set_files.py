@@ -1,8 +1,8 @@
 """Sample sets on disk, found again by the content that decides them (content addressing).
 
-A group's key is a hash of its meshes, materials and instances, of the keys of the groups that it places, and of
-every constant of sampling; a file holds the sets of one level of it. Nothing else of the scene matters, so that a tree
-that stands in another forest finds its sets. Files number parts in the order in which their group reaches them.
+A group's key is a hash of its meshes, materials and instances, of the keys of the groups that it places, and of the
+constants and the code of sampling; a file holds the sets of one level of it. Nothing else of the scene matters, so that
+a tree that stands in another forest finds its sets. Files number parts in the order in which their group reaches them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import tempfile
 import threading
 import zipfile
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +24,14 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.surfels import COLUMNS, Surfels
 from pointmr_engine.scene.group import CAMERA
 
-FORMAT = 1  # to be raised whenever the same scene would get other sets, or files another layout
+FORMAT = 1  # to be raised when files get another layout
+_DECIDING = (
+    "hierarchy",
+    "shading",
+    "numerics",
+    "scene",
+    "forward/baking.py",
+)  # code that decides what sets hold
 _CONSTANTS = ("CHAIN", "DIVISIONS", "LEAF_TRIANGLES", "SPACING", "KEPT_POINTS")
 
 
@@ -55,7 +63,7 @@ class SetFiles:
         self._parts: dict[int, np.ndarray] = {}
         self._lock = threading.RLock()
         constants = tuple(getattr(octree, name) for name in _CONSTANTS)
-        self._common = ("sample sets", FORMAT, constants, decided_by)
+        self._common = ("sample sets", FORMAT, _code(), constants, decided_by)
 
     def path(self, g: int, level: int) -> Path | None:
         """The file of group g at `level`; None for groups whose content cannot be told."""
@@ -203,6 +211,19 @@ class SetFiles:
             h.update(np.ascontiguousarray(value).data.cast("B") if value.size else b"")
         self._hashed[id(value)] = value, h.digest()
         return self._hashed[id(value)][1]
+
+
+@cache
+def _code() -> bytes:
+    """Hash of the engine's modules that decide sets: another version of them must not find the files of this one."""
+    h = _hasher()
+    engine = Path(octree.__file__).parents[1]
+    for name in _DECIDING:
+        found = engine / name
+        for path in sorted(found.rglob("*.py")) if found.is_dir() else [found]:
+            h.update(path.relative_to(engine).as_posix().encode())
+            h.update(path.read_bytes() if path.is_file() else b"")
+    return h.digest()
 
 
 def _hasher():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from pointmr_engine import Group, RenderSettings, Scene, principled, render
+from pointmr_engine.hierarchy import set_files
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.hierarchy.sample_sets import NEVER, SampleSets
 from pointmr_engine.hierarchy.set_files import SetFiles
@@ -153,6 +154,12 @@ def test_names_and_the_order_of_the_scene_do_not_matter():
     first, second = keys(two(0, 1)), keys(two(1, 0))
     assert (first["a"], first["b"]) == (second["a"], second["b"])
     assert first["root"] != second["root"]
+
+
+def test_another_version_of_the_engine_has_files_of_its_own(monkeypatch):
+    start = keys(nested(1))
+    monkeypatch.setattr(set_files, "_code", lambda: b"another")
+    assert not set(start.values()) & set(keys(nested(1)).values())
 
 
 def test_keys_are_the_same_in_every_process():
