@@ -23,7 +23,7 @@ from pointmr_engine.scene.group import CAMERA
 CHAIN = 3  # levels above the cell that fits a group: what a group is drawn from when it is smaller than its samples
 DIVISIONS = 19  # of that cell: 19 * 3 bits of position and 5 of level fill a sort key
 MAX_LEVEL = CHAIN + DIVISIONS
-LEAF_TRIANGLES = 8  # nodes of this many triangles, and no instance, are not split
+LEAF_TRIANGLES = 8  # nodes of this many triangles and no instance are not split, nor are nodes of one item
 SPACING = 0.125  # of a cell's side: the distance of its samples
 KEPT_POINTS = 3.0  # a triangle of more samples than this is kept as it is (talk: "say > 3 points")
 LIMIT = np.float32(1e12)
@@ -320,7 +320,8 @@ def _split(keys, levels, instances, out):
     while node < used:  # breadth first: children come after their parents, side by side
         level, first, end = out[node, 0], out[node, 3], out[node, 6]
         own = first
-        whole = level == MAX_LEVEL or (end - first <= LEAF_TRIANGLES and instances[end] == instances[first])
+        few = end - first <= LEAF_TRIANGLES and instances[end] == instances[first]
+        whole = level == MAX_LEVEL or end - first == 1 or few
         if whole:
             own = end
         else:

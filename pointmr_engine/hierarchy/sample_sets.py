@@ -65,7 +65,8 @@ class SampleSets:
 
     looks(part, triangle, u, v, width) -> candidates.Look: materials at points (n,) of parts' triangles, for
     samples as wide as `width` (n,) float32, metres in the mesh's space. strategy: one of strategies.STRATEGIES.
-    folder: where sets are kept between runs and found again (set_files); None: nowhere.
+    folder: where sets are kept between runs and found again (set_files); None: nowhere. exposed: coarse sets
+    average what can be seen of their group (exposure), which is what images need; without, all of its surface.
     """
 
     def __init__(
@@ -76,14 +77,16 @@ class SampleSets:
         seed: int = 0,
         failure: float = 1e-3,
         folder: str | None = None,
+        exposed: bool = True,
     ):
         self.octree = octree
+        self.exposed = exposed
         self.strategy, self.seed, self.failure = strategy, seed, failure
         constants = (
             INSTANCES_OF_SET,
             INSTANCES_OF_LARGE_SET,
             LARGE_GROUP,
-            EXPOSED,
+            EXPOSED if exposed else -1,
             EXPOSED_CELLS,
             PIECE,
             CANDIDATE,
@@ -279,7 +282,7 @@ class SampleSets:
         while start < len(nodes):
             before = weight[start - 1] if start else 0.0
             stop = max(start + 1, int(np.searchsorted(weight, before + CHUNK, side="right")))
-            whole = stop - start == len(nodes) and level <= EXPOSED
+            whole = stop - start == len(nodes) and level <= EXPOSED and self.exposed
             self._sample_nodes(g, ranges[start:stop], spacing, parts, whole)
             start = stop
         counts = np.concatenate([p.counts for p in parts]) if parts else np.zeros(0, np.int64)

@@ -23,7 +23,7 @@ from tests.engine.instanced import random_transforms, sphere
 def sets_of(root: Group, **options) -> SampleSets:
     geometry = compile_geometry(Scene(root))
     programs = [compile_graph((m or Material("plain")).graph) for m in geometry.materials]
-    return SampleSets(build_octree(geometry), Baker(geometry, programs), **options)
+    return SampleSets(build_octree(geometry), Baker(geometry, programs), **{"exposed": False} | options)
 
 
 def levels_of(sets: SampleSets, g: int) -> list[int]:
@@ -381,3 +381,20 @@ def test_nothing_there():
     sets = sets_of(Group("root"))
     sets.require([])
     assert sets.used == 0 and everything(sets) == []
+
+
+def test_coarse_samples_show_what_is_outside():
+    """A red ball inside a white one leaves no trace in the coarsest samples; with all surface averaged it would."""
+    positions, triangles = sphere(24)
+    outside = Mesh(
+        "outside", positions, triangles, materials=(principled(base_color=(0.9, 0.9, 0.9)),)
+    )
+    inside = Mesh(
+        "inside", 0.8 * positions, triangles, materials=(principled(base_color=(0.9, 0.0, 0.0)),)
+    )
+    for exposed in (False, True):
+        sets = sets_of(Group("balls", [outside, inside]), exposed=exposed)
+        sets.require([(0, 0)])
+        row = sets.surfels.row[: sets.used]
+        green = np.average(row[:, RED + 1], weights=row[:, AREA])
+        assert (green > 0.85) == exposed
