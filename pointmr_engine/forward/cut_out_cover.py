@@ -22,6 +22,15 @@ def cut_out_of(cut_outs, part, triangle):
 
 
 @device
+def opacity_at(cut_outs, mask, u, v):
+    """Opacity, of 255, at barycentric weights u and v of vertices 1 and 2."""
+    side = cut_outs.opacity.shape[1]
+    p = min(max(np.int64(u * side), np.int64(0)), side - 1)
+    q = min(max(np.int64(v * side), np.int64(0)), side - 1)
+    return np.float64(cut_outs.opacity[mask, q, p])
+
+
+@device
 def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, phase):
     """Draw a triangle as subpixels.cover_triangle does, but where opacity[mask] leaves holes; whether anything was written.
 

@@ -32,6 +32,11 @@ class CutOuts(NamedTuple):
     opacity: np.ndarray  # (M, R, R) uint8; 255: opaque
 
 
+def no_cut_outs(parts: int) -> CutOuts:
+    """Those of `parts` opaque parts."""
+    return CutOuts(np.full(parts, -1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2, 2), np.uint8))
+
+
 def build_cut_outs(geometry: Geometry, programs: list) -> CutOuts:
     """The cut-outs of all parts whose materials let light through."""
     first = np.full(len(geometry.parts), -1, np.int64)

@@ -21,6 +21,7 @@ from pointmr_engine.forward.box_selection import (
     make_view,
     select_boxes,
 )
+from pointmr_engine.forward.cut_outs import CutOuts, no_cut_outs
 from pointmr_engine.forward.point_draws import (
     BLOCK,
     MAX_BLOCKS,
@@ -79,18 +80,22 @@ def draw_image(
     cells: int = 1,
     depth: np.ndarray | None = None,
     threads: int = 0,
+    cut_outs: CutOuts | None = None,
 ) -> tuple[PointSet, Transforms, Statistics]:
     """Draw the points of a selection, at selection.eye.limits' density.
 
     draws: "random", "stratified" or "poisson". cells: per side of a pixel; of each the nearest point is kept.
     depth: (height, width) float32 of the view's region, rows from the bottom: inverse depths that points must surpass
-    (0: nothing there), such as those of the rasterised triangles. threads: 0: one per core.
+    (0: nothing there), such as those of the rasterised triangles. threads: 0: one per core. cut_outs: points in the
+    holes of these triangles are left out; None: all are opaque.
     Returns the points, the selection's transforms with rows added below, and counts. Neither threads nor culling change
     the points.
     Raises SceneError where more points are needed than can be numbered (2.7e8).
     """
     geometry, view = octree.geometry, selection.eye
-    world = World(octree.arrays, distribution, geometry.tables, geometry.instances)
+    if cut_outs is None:
+        cut_outs = no_cut_outs(len(geometry.parts))
+    world = World(octree.arrays, distribution, geometry.tables, geometry.instances, cut_outs)
     line = _line(selection, draws, seed, occlusion_culling)
     threads = threads or os.cpu_count() or 1
     x0, y0, x1, y1 = (int(n) for n in view.region)

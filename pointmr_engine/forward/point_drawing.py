@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.forward.cut_outs import cut_out_of, draw_cut_out
 from pointmr_engine.forward.draw import draw_triangle, to_target
 from pointmr_engine.forward.fragments import fill_look, meet_plane, ray_through
 from pointmr_engine.forward.subpixels import cover_ellipse, cover_run
@@ -103,16 +104,39 @@ def place_points(octree, tables, transforms, points: PlacedPoints, corners, star
 
 @uncounted
 def draw_triangle_list(
-    view, target, width, height, left, low, triangles: PlacedTriangles, subpixels, entries, used
+    view,
+    target,
+    width,
+    height,
+    left,
+    low,
+    triangles: PlacedTriangles,
+    cut_outs,
+    solid,
+    subpixels,
+    entries,
+    used,
 ):
-    """Draw the triangles in a tile of width x height subpixels at (left, low); returns how many entries are used."""
+    """Draw the triangles in a tile of width x height subpixels at (left, low); returns how many entries are used.
+
+    cut_outs: CutOuts; solid: triangles with holes are left out.
+    """
     x0, y0 = left / subpixels, low / subpixels
     x1, y1 = (left + width) / subpixels, (low + height) / subpixels
     b = triangles.bounds
     for k in range(len(triangles.part)):
         if b[k, 0] > x1 or b[k, 2] < x0 or b[k, 1] > y1 or b[k, 3] < y0:
             continue
-        if draw_triangle(view, target, width, height, left, low, triangles.corners[k], used):
+        hole = cut_out_of(cut_outs, np.int64(triangles.part[k]), np.int64(triangles.triangle[k]))
+        written = False
+        if hole < 0:
+            written = draw_triangle(view, target, width, height, left, low, triangles.corners[k], used)
+        elif not solid:
+            phase = (k * np.int64(40503) >> np.int64(7)) & np.int64(63)
+            written = draw_cut_out(
+                view, target, width, height, left, low, triangles.corners[k], used, cut_outs, hole, phase
+            )
+        if written:
             entries.surfel[used] = -1 - 2 * k
             entries.row[used] = triangles.row[k]
             used += 1

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.forward.box_selection import Selection
+from pointmr_engine.forward.cut_out_cover import cut_out_of, opacity_at
 from pointmr_engine.forward.projection import inverse_depth
 from pointmr_engine.forward.transforms import Transforms
 from pointmr_engine.hierarchy.distribution import Chain, draw, uniform
@@ -28,6 +29,7 @@ BLOCK = 256  # units of length in a block
 PER_BLOCK = 4096  # positions that one can hold: numbers of draws are block * PER_BLOCK + position
 MAX_BLOCKS = 1 << 20  # of which 32 bits have room
 RANDOM, STRATIFIED = 0, 1
+_OPACITY = np.int64(1 << 40)  # number of the random number that decides about transparency
 _TAKEN = np.uint64(0xFFFFFFFF)
 
 
@@ -38,6 +40,7 @@ class World(NamedTuple):
     distribution: NamedTuple  # Distribution
     tables: NamedTuple  # PartTables
     instances: NamedTuple  # BatchTables
+    cut_outs: NamedTuple  # CutOuts: points in holes are refused
 
 
 class Line(NamedTuple):
@@ -146,6 +149,9 @@ def _draw_point(world, selection, line, scratch, k, x, key):
     i0, i1 = 3 * np.int64(t[3 * triangle]), 3 * np.int64(t[3 * triangle + 1])
     i2 = 3 * np.int64(t[3 * triangle + 2])
     w1, w2 = weights[0], weights[1]
+    hole = cut_out_of(world.cut_outs, part, triangle)
+    if hole >= 0 and uniform(key, _OPACITY) * 255.0 >= opacity_at(world.cut_outs, hole, w1, w2):
+        return np.int64(-1)
     w0 = 1.0 - w1 - w2
     a = w0 * p[i0] + w1 * p[i1] + w2 * p[i2]
     b = w0 * p[i0 + 1] + w1 * p[i1 + 1] + w2 * p[i2 + 1]

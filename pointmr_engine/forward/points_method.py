@@ -97,6 +97,7 @@ class DrawnPoints:
         return draw_image(
             image.sampler.octree, image.sampler.distribution, selection, options.draws, seed,
             options.occlusion_culling, self.cells, depth, image.settings.threads,
+            image.sampler.cut_outs,
         )  # fmt: skip
 
     def _count(self, statistics: Statistics) -> None:
@@ -143,8 +144,8 @@ class DrawnPoints:
             np.empty(len(self.triangles.part), np.int64), np.empty(len(self.triangles.part), np.int32)
         )
         draw_triangle_list(
-            pixels, target, np.int64(width), np.int64(height), x0 - 0.5, y0 - 0.5, self.triangles, 1.0, entries,
-            np.int64(0),
+            pixels, target, np.int64(width), np.int64(height), x0 - 0.5, y0 - 0.5, self.triangles,
+            self.image.sampler.cut_outs, True, 1.0, entries, np.int64(0),
         )  # fmt: skip
         seen = target.depth[:height, :width]
         if not view.perspective:
@@ -252,7 +253,15 @@ class PointSpace(Workspace):
         size = np.int64(self.width), np.int64(self.height), float(self.left), float(self.low)
         entries = self.scratch.entries
         used = draw_triangle_list(
-            image.view, self.target, *size, drawn.triangles, float(s), entries, np.int64(0)
+            image.view,
+            self.target,
+            *size,
+            drawn.triangles,
+            hierarchy.cut_outs,
+            False,
+            float(s),
+            entries,
+            np.int64(0),
         )
         for first, last in runs:
             used = draw_points(
