@@ -1,4 +1,5 @@
-"""What a sample keeps of its material: the part that the surface alone decides, reduced to colour, emission and alpha."""
+"""What a sample keeps of its material: the part that the surface alone decides, reduced to colour, emission and
+alpha."""
 
 from __future__ import annotations
 
@@ -113,7 +114,8 @@ def _normals_and_materials(tables, part, triangle, u, v, normal, material):
 
 @uncounted
 def materials_of(tables, part, triangle, out):
-    """Material (index into Geometry.materials) of triangles (n,) in their shapes, into out (n,) int32; tables: PartTables."""
+    """Material (index into Geometry.materials) of triangles (n,) in their shapes, into out (n,) int32; tables:
+    PartTables."""
     for k in range(len(part)):
         p = np.int64(part[k])
         slot = np.int64(0)

@@ -32,7 +32,8 @@ def opacity_at(cut_outs, mask, u, v):
 
 @device
 def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, phase):
-    """Draw a triangle as subpixels.cover_triangle does, but where opacity[mask] leaves holes; whether anything was written.
+    """Draw a triangle as subpixels.cover_triangle does, but where opacity[mask] leaves holes; whether anything was
+    written.
 
     x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective.
     """
@@ -103,7 +104,8 @@ def move_to_opaque(cut_outs, fragments, first, count):
 
 @uncounted
 def narrow_looks(cut_outs, fragments, first, count, width):
-    """Shrink the footprints width (N,) float32 of fragments with holes, so that their colour is not mixed with a hole's."""
+    """Shrink the footprints width (N,) float32 of fragments with holes, so that their colour is not mixed with a
+    hole's."""
     for k in range(count):
         part, triangle = np.int64(fragments.part[first + k]), np.int64(fragments.triangle[first + k])
         if cut_out_of(cut_outs, part, triangle) >= 0:

@@ -25,7 +25,8 @@ _CHUNK = 1 << 18
 
 
 class CutOuts(NamedTuple):
-    """Opacity over M different triangles, on lattices of R x R points: (i + j <= R - 1) barycentric weights of vertices 1, 2."""
+    """Opacity over M different triangles, on lattices of R x R points: (i + j <= R - 1) barycentric weights of
+    vertices 1, 2."""
 
     first: np.ndarray  # (P,) int64 row of a part's triangle 0 in `mask`, -1: the part is opaque
     mask: np.ndarray  # (K,) int32 row of `opacity`, -1: the triangle is opaque
@@ -111,7 +112,8 @@ def _sampled(geometry: Geometry, program, part: int, triangles: np.ndarray, side
 
 @device
 def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_outs, mask, phase):
-    """Draw the triangle with corners (3, 3) in camera space where it is opaque; those that the near plane cuts are drawn whole."""
+    """Draw the triangle with corners (3, 3) in camera space where it is opaque; those that the near plane cuts are
+    drawn whole."""
     if corners[0, 2] < view.near or corners[1, 2] < view.near or corners[2, 2] < view.near:
         return draw_triangle(view, target, width, height, left, low, corners, entry)
     x0, y0, w0 = to_target(view, corners[0, 0], corners[0, 1], corners[0, 2])

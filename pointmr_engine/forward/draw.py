@@ -49,8 +49,8 @@ DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 class Entries(NamedTuple):
     """What was drawn into a tile and was the nearest somewhere, in the order of drawing."""
 
-    # (E,) int64: 2 * row of the surfels, + 1 where it is not drawn without gaps; for a triangle -1 - (2 * item of the octree, + 1
-    # where it is small)
+    # (E,) int64: 2 * row of the surfels, + 1 where it is not drawn without gaps; for a triangle -1 - (2 * item of the
+    # octree, + 1 where it is small)
     surfel: np.ndarray
     row: np.ndarray  # (E,) int32 row of the transforms
 
@@ -123,8 +123,8 @@ def box_is_behind(target, width, height, x0, y0, x1, y1, w):
 def draw_set(target, width, height, constants, lanes, address, row, first, count, entries, used, counters):
     """Draw surfels first..first + count; returns the number of entries then used.
 
-    width, height: subpixels of the tile. constants: as set_constants left them; lanes (LANE_ROWS, 8) float32; address (3,) uint64: of
-    the surfels' rows, of `constants` and of `lanes`. Entries must have room for `count` more.
+    width, height: subpixels of the tile. constants: as set_constants left them; lanes (LANE_ROWS, 8) float32; address
+    (3,) uint64: of the surfels' rows, of `constants` and of `lanes`. Entries must have room for `count` more.
     """
     fw, fh = np.float32(width), np.float32(height)
     for start in range(first, first + count, WIDTH):

@@ -21,14 +21,15 @@ from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
 
 @device
 def draw_triangles(
-    view, target, width, height, left, low, constants, lanes, address, matrix, row, items, corners, cut_outs, first, last,
-    entries, used, work, small,
+    view, target, width, height, left, low, constants, lanes, address, matrix, row, items, corners, cut_outs, first,
+    last, entries, used, work, small,
 ):  # fmt: skip
-    """Draw triangles first..last (items of the octree, no instances) as they are; returns the number of entries then used.
+    """Draw triangles first..last (items of the octree, no instances) as they are; returns the number of entries then
+    used.
 
-    constants, lanes, address (4,): as for draw.draw_set, and the address of `corners`. items (M, 2) int32 of the octree, corners (M, 9)
-    float32 of all items. work (3, 3) float64. small: subpixels; triangles no larger are one fragment, wherever they are
-    visible.
+    constants, lanes, address (4,): as for draw.draw_set, and the address of `corners`. items (M, 2) int32 of the
+    octree, corners (M, 9) float32 of all items. work (3, 3) float64. small: subpixels; triangles no larger are one
+    fragment, wherever they are visible.
     """
     fw, fh = np.float32(width), np.float32(height)
     for start in range(first, last, WIDTH):

@@ -1,7 +1,7 @@
 """Surfaces that shine, as lamps: the strongest placements of emissive parts become area and point lamps of equal power.
 
-Forward mapping follows no rays that could find them. A part that is nearly flat becomes a rectangle with the same area, centre and
-axes; any other a ball with the same area.
+Forward mapping follows no rays that could find them. A part that is nearly flat becomes a rectangle with the same
+area, centre and axes; any other a ball with the same area.
 """
 
 from __future__ import annotations

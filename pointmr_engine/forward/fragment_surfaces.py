@@ -81,9 +81,10 @@ def surfel_frames(
 ):
     """Surfels' own positions and normals instead of those of the triangles that represent them; triangles' normals.
 
-    frames: as raytracing.frames has filled them from the triangles. flat (N,) float32: 1 where the piece is flat, 0 where it
-    faces all directions. spread (N,) float32: variance of the slopes of the piece's normals, per axis (Toksvig; von Mises and
-    Fisher's kappa of the mean normal's length). Normals of triangles are written back to the fragments, in camera space.
+    frames: as raytracing.frames has filled them from the triangles. flat (N,) float32: 1 where the piece is flat, 0
+    where it faces all directions. spread (N,) float32: variance of the slopes of the piece's normals, per axis
+    (Toksvig; von Mises and Fisher's kappa of the mean normal's length). Normals of triangles are written back to the
+    fragments, in camera space.
     """
     c = world_from_camera
     for k in range(count):

@@ -1,7 +1,7 @@
 """Fragments: what is visible of a tile's entries, each shaded once, and where their light goes in the image.
 
-A surfel is one fragment, however many subpixels show it; a triangle is one fragment in every pixel, seen from the middle
-of the subpixels where it is visible.
+A surfel is one fragment, however many subpixels show it; a triangle is one fragment in every pixel, seen from the
+middle of the subpixels where it is visible.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def allocate_fragments(n: int) -> Fragments:
 def find_fragments(ids, width, height, subpixels, entries: Entries, fragment_of, empty, out: Fragments):
     """Number the fragments of a tile of width x height subpixels and put their numbers into `ids`; returns how many.
 
-    fragment_of (E,) int32, -1 everywhere; `out` has room for as many fragments as there are subpixels. empty (rows, columns)
-    uint8: 1 is written for pixels with a subpixel that shows nothing, else 0.
+    fragment_of (E,) int32, -1 everywhere; `out` has room for as many fragments as there are subpixels. empty (rows,
+    columns) uint8: 1 is written for pixels with a subpixel that shows nothing, else 0.
     """
     count = np.int64(0)
     for top in range(0, height, subpixels):
@@ -95,13 +95,15 @@ def find_fragments(ids, width, height, subpixels, entries: Entries, fragment_of,
 
 @device
 def ray_through(view, x, y):
-    """Camera-space direction (perspective, z = 1) or place (orthographic) of a point of the whole image, in subpixels."""
+    """Camera-space direction (perspective, z = 1) or place (orthographic) of a point of the whole image, in
+    subpixels."""
     return (x - view.shift_x) / view.scale_x, (y - view.shift_y) / view.scale_y
 
 
 @uncounted
 def fill_normal_matrices(matrix, count, out):
-    """out (K, 9) float64: what carries normals of rows 0..count into camera space, outside to outside; not of unit length."""
+    """out (K, 9) float64: what carries normals of rows 0..count into camera space, outside to outside; not of unit
+    length."""
     for k in range(count):
         sign = 0.0
         for r in range(3):
@@ -130,14 +132,14 @@ def _carry_normal(normals, row, x, y, z):
 
 @uncounted
 def fill_fragments(
-    view, left, low, octree, sets, all_corners, parts, looks, transforms, normals, entries: Entries, fragments: Fragments, count,
-    corners,
+    view, left, low, octree, sets, all_corners, parts, looks, transforms, normals, entries: Entries, fragments:
+    Fragments, count, corners,
 ):  # fmt: skip
     """Attributes of fragments 0..count: of surfels from their rows; of triangles where the ray meets their plane.
 
-    all_corners: of the octree's items; corners: (3, 3) float64 to work in. normals: of fill_normal_matrices. looks (materials, 7)
-    float32: albedo, emission and 1 for materials that are the same everywhere; triangles of others get no colour and no
-    normal yet (it is 0).
+    all_corners: of the octree's items; corners: (3, 3) float64 to work in. normals: of fill_normal_matrices. looks
+    (materials, 7) float32: albedo, emission and 1 for materials that are the same everywhere; triangles of others get
+    no colour and no normal yet (it is 0).
     """
     m = transforms.matrix
     for k in range(count):
@@ -242,7 +244,8 @@ def meet_plane(view, p, dx, dy):
 
 
 def filter_taps(kind: str, width: float, subpixels: int) -> np.ndarray:
-    """(n,) float32 weights of the subpixels along one axis, about a pixel's centre; they sum to 1, n / subpixels is odd."""
+    """(n,) float32 weights of the subpixels along one axis, about a pixel's centre; they sum to 1, n / subpixels is
+    odd."""
     reach = max(0, int(np.ceil(filter_extent(kind, width) - 0.5 - 1e-9)))
     n = (2 * reach + 1) * subpixels
     edges = 64
@@ -282,8 +285,9 @@ def filter_tile(ids, width, height, subpixels, light, background, taps, sums, li
     """Pixels of a tile: light of the fragments that its subpixels show, under the pixel filter.
 
     ids as find_fragments left them; light (F, 3) float32; background (rows, columns, 4) float32 of the tile's pixels,
-    premultiplied with alpha, for empty subpixels; taps (n,) float32. sums (rows + 1, width * 4) and line (width, 4) float32 to
-    work in; out (h, w, 4) float32: the pixels whose filter lies inside the tile. width, height: multiples of `subpixels`.
+    premultiplied with alpha, for empty subpixels; taps (n,) float32. sums (rows + 1, width * 4) and line (width, 4)
+    float32 to work in; out (h, w, 4) float32: the pixels whose filter lies inside the tile. width, height: multiples
+    of `subpixels`.
     """
     columns, rows, n = out.shape[1], out.shape[0], len(taps)
     flat = line.reshape(-1)[: 4 * width]

@@ -1,7 +1,8 @@
-"""Light that the lobes of fragments send to the camera: from lamps by a few fixed points of each, from the world by maps.
+"""Light that the lobes of fragments send to the camera: from lamps by a few fixed points of each, from the world by
+maps.
 
-Nothing is random, so nothing is noisy: a lamp is one point where it looks small and up to sixteen where it is wide, and lobes
-are widened by the part of the lamp that each point stands for, so that sharp highlights keep the lamp's size.
+Nothing is random, so nothing is noisy: a lamp is one point where it looks small and up to sixteen where it is wide,
+and lobes are widened by the part of the lamp that each point stands for, so that sharp highlights keep the lamp's size.
 """
 
 from __future__ import annotations
@@ -201,7 +202,8 @@ def _towards_normal(normal, direction, roughness):
 def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, count, out):
     """Add the world's light that points 0..count send to the viewer to out (N, 3) float32.
 
-    diffuse, glossy, transmission: WorldMaps; tables: albedo_tables.Tables. What transmits looks straight into the world.
+    diffuse, glossy, transmission: WorldMaps; tables: albedo_tables.Tables. What transmits looks straight into the
+    world.
     """
     for k in range(count):
         wi = row3(incoming, k)
@@ -288,8 +290,9 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
 def finish(lobes, holdout, fragments, first, count, light, clear):
     """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are held out.
 
-    light (F, 3): what arrived is there; the share that transparency leaves is taken out, since areas and cut-outs account for
-    it. clear (F,) float32: share of a fragment's subpixels to be emptied. Albedo and emission go to the fragments.
+    light (F, 3): what arrived is there; the share that transparency leaves is taken out, since areas and cut-outs
+    account for it. clear (F,) float32: share of a fragment's subpixels to be emptied. Albedo and emission go to the
+    fragments.
     """
     some = False
     for k in range(count):
@@ -318,7 +321,8 @@ def finish(lobes, holdout, fragments, first, count, light, clear):
 
 @uncounted
 def open_clear(ids, width, height, pattern, clear):
-    """Empty the subpixels of fragments that are not opaque, as many as their share `clear` (F,) says (ordered dither)."""
+    """Empty the subpixels of fragments that are not opaque, as many as their share `clear` (F,) says (ordered
+    dither)."""
     for y in range(height):
         for x in range(width):
             k = ids[y, x]

@@ -72,8 +72,8 @@ class FullShading:
             move_to_opaque(hierarchy.cut_outs, f, first_, n_)
         to_world = image.camera.world_from_camera
         place_fragments(
-            image.view, image.pixel, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f, first_, n_,
-            own.rays, own.hits, own.state.width,
+            image.view, image.pixel, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f, first_,
+            n_, own.rays, own.hits, own.state.width,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
             narrow_looks(hierarchy.cut_outs, f, first_, n_, own.state.width)
@@ -94,8 +94,8 @@ class FullShading:
         light[:] = 0.0
         if len(self.lamps.shape):
             shade_lamps(
-                own.lobes, own.view.incoming, own.frames.position, own.flat, own.alpha, self.lamps, space.shadow, first_, n_,
-                light,
+                own.lobes, own.view.incoming, own.frames.position, own.flat, own.alpha, self.lamps, space.shadow,
+                first_, n_, light,
             )  # fmt: skip
         world = self.world
         if not image.sampler.environment.black:

@@ -1,9 +1,9 @@
 """Shadows of lamps: the same sampler, seen from the lamp, once for every tile of the image.
 
-The fragments of a tile fill a small box as the lamp sees them; a depth buffer over it resolves what the tile's own pixels do,
-wherever they lie, and holds the samples that such pixels would show. Fragments of very different size get maps of their own.
-Comparisons are averaged over a pixel's footprint (percentage-closer filtering; Reeves, Salesin, Cook 1987), or
-over the penumbra that the mean depth of what blocks the lamp suggests (Fernando 2005).
+The fragments of a tile fill a small box as the lamp sees them; a depth buffer over it resolves what the tile's own
+pixels do, wherever they lie, and holds the samples that such pixels would show. Fragments of very different size get
+maps of their own. Comparisons are averaged over a pixel's footprint (percentage-closer filtering; Reeves, Salesin,
+Cook 1987), or over the penumbra that the mean depth of what blocks the lamp suggests (Fernando 2005).
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ class ShadowMaps:
             from_camera = from_world[:, :3] @ camera.world_from_camera
             from_camera[:, 3] += from_world[:, 3]
             receivers(
-                np.ascontiguousarray(from_camera), not distant, fragments.position, fragments.geometric, fragments.normal, width,
-                np.int64(count), self.place, self.plane, self.flat,
+                np.ascontiguousarray(from_camera), not distant, fragments.position, fragments.geometric,
+                fragments.normal, width, np.int64(count), self.place, self.plane, self.flat,
             )  # fmt: skip
             place = self.place[:count]
             if distant:
@@ -228,9 +228,10 @@ def _lit(row: np.ndarray, shape: int, axes: np.ndarray, place: np.ndarray) -> np
 def receivers(from_camera, perspective, position, geometric, normal, width, count, place, plane, flat):
     """Where fragments 0..count lie as a light sees them: raised above their surfaces, on the side of the light.
 
-    from_camera (3, 4): light_from_camera; perspective: the light is at the origin, else infinitely far towards -z. position
-    (F, 3) float64, geometric and normal (F, 3) float32 in camera space, width (F,) of the pixel's footprint. place (F, 3), plane (F,
-    3) float64: filled with positions and unit normals that face the light; flat (F,) float32: 1 where the piece is flat.
+    from_camera (3, 4): light_from_camera; perspective: the light is at the origin, else infinitely far towards -z.
+    position (F, 3) float64, geometric and normal (F, 3) float32 in camera space, width (F,) of the pixel's footprint.
+    place (F, 3), plane (F, 3) float64: filled with positions and unit normals that face the light; flat (F,) float32:
+    1 where the piece is flat.
     """
     m = from_camera
     for k in range(count):
@@ -290,7 +291,8 @@ def _open(depth, width, height, x, y, nearness, slope_x, slope_y):
 def compare(view, depth, width, height, rows, place, plane, flat, light, share):
     """Share of a lamp's light that arrives at the receivers `rows`, into share (F,) float32.
 
-    depth: of the map of `view`, width x height texels; light: tangent of a distant light's half angle, or a lamp's radius.
+    depth: of the map of `view`, width x height texels; light: tangent of a distant light's half angle, or a lamp's
+    radius.
     """
     for r in range(len(rows)):
         k = rows[r]

@@ -1,7 +1,7 @@
 """A tile's subpixel depth buffer, and the two shapes that are drawn into it: surfels' ellipses and triangles.
 
-Depth is kept as nearness, which is linear in the image for planes: 1 / z in perspective. Every subpixel remembers its nearest entry
-(science 6.2: opaque ellipses in a subpixel depth buffer beat alpha with merged sums in time and error).
+Depth is kept as nearness, which is linear in the image for planes: 1 / z in perspective. Every subpixel remembers its
+nearest entry (science 6.2: opaque ellipses in a subpixel depth buffer beat alpha with merged sums in time and error).
 """
 
 from __future__ import annotations
@@ -230,8 +230,9 @@ def is_hidden(target, width, height, x0, y0, x1, y1, nearness):
 def close_gaps(target, width, height, surfel):
     """Fill what is open between ellipses of one surface, one or two subpixels wide; returns how many were filled.
 
-    A subpixel is open when solid surfels on both sides of it - left and right, or below and above - lie nearer, and much closer to
-    each other in depth than to what it shows. surfel (E,) int64: Entries.surfel. Triangles and clumps have no such gaps.
+    A subpixel is open when solid surfels on both sides of it - left and right, or below and above - lie nearer, and
+    much closer to each other in depth than to what it shows. surfel (E,) int64: Entries.surfel. Triangles and clumps
+    have no such gaps.
     """
     depth, ids = target.depth, target.ids
     filled = np.int64(0)

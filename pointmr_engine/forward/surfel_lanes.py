@@ -42,8 +42,9 @@ LANE_ROWS = 14
 def place_eight(typingctx, rows, first, constants, out):
     """Places of surfels first..first + 8; returns the mask of those in front of the camera and in the tile.
 
-    rows: address of float32 rows of surfels; constants: address of float32; out: address of LANE_ROWS rows of eight float32, of
-    which PX to FRONT are filled: camera space, subpixels in the tile, nearness, bounding radius, nearness of the front.
+    rows: address of float32 rows of surfels; constants: address of float32; out: address of LANE_ROWS rows of eight
+    float32, of which PX to FRONT are filled: camera space, subpixels in the tile, nearness, bounding radius, nearness
+    of the front.
     """
     i = types.int64
 
@@ -106,8 +107,8 @@ def place_eight(typingctx, rows, first, constants, out):
 def shape_eight(typingctx, rows, first, constants, out):
     """Ellipses of the surfels that `place_eight` has placed: fills A to OPACITY.
 
-    A, B, C: the matrix [[a, b], [b, c]] whose inverse's unit level is the outline, in subpixels^2; SLOPE_*: growth of nearness per
-    subpixel; OPACITY: share of the outline's subpixels to be drawn, 1 or more: all.
+    A, B, C: the matrix [[a, b], [b, c]] whose inverse's unit level is the outline, in subpixels^2; SLOPE_*: growth of
+    nearness per subpixel; OPACITY: share of the outline's subpixels to be drawn, 1 or more: all.
     """
     i = types.int64
 
@@ -158,7 +159,8 @@ def shape_eight(typingctx, rows, first, constants, out):
         seen = kx * ky * (flat * facing.abs() * scale + round_ * constant(GROW) * 0.5)
         det = (s_xx * s_yy - s_xy * s_xy).at_least(1e-30)
         ratio = column(AREA) * seen.abs() / (det.sqrt() * (4.0 * math.pi))
-        # how much the piece is a surface, however curved, and not a clump: by its extent across (science 6.1: macro and micro)
+        # how much the piece is a surface, however curved, and not a clump: by its extent across (science 6.1: macro
+        # and micro)
         minor = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
         third = (xx + yy + zz) * (1 / 3)
         bulk = minor / (third * third * third).at_least(1e-37)
@@ -199,10 +201,12 @@ CORNER_X, CORNER_Y, CORNER_W, CORNER_FRONT, CORNER_SMALL = 0, 3, 6, 9, 10
 
 @intrinsic
 def corners_eight(typingctx, corners, first, constants, out):
-    """Corners of triangles first..first + 8 in the tile; returns masks: bits 0-7 those to be drawn, 8-15 those to be clipped.
+    """Corners of triangles first..first + 8 in the tile; returns masks: bits 0-7 those to be drawn, 8-15 those to be
+    clipped.
 
-    corners: address of float32, nine a triangle. Triangles outside the tile, and between the centres of its subpixels, are in
-    neither mask; those that reach behind the near plane are in the second. CORNER_SMALL: the larger side of the bounds.
+    corners: address of float32, nine a triangle. Triangles outside the tile, and between the centres of its
+    subpixels, are in neither mask; those that reach behind the near plane are in the second. CORNER_SMALL: the larger
+    side of the bounds.
     """
     i = types.int64
 

@@ -1,9 +1,9 @@
 """Static selection: one walk through the octrees of all placements for a tile, nearest boxes first.
 
 A node is drawn from its sample set when the set is dense enough in the image at the box's nearest depth, which splits
-space into depth classes that double (talk: "Depth Approximation"); else the walk goes to its children. Large triangles are
-drawn as the walk passes them, instances continue in their group's octree. Boxes outside the tile, and boxes behind what is
-drawn already, are left out.
+space into depth classes that double (talk: "Depth Approximation"); else the walk goes to its children. Large
+triangles are drawn as the walk passes them, instances continue in their group's octree. Boxes outside the tile, and
+boxes behind what is drawn already, are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from pointmr_engine.forward.draw_triangles import draw_triangles
 from pointmr_engine.forward.subpixels import Target, View, clear, is_hidden, mark_drawn
 from pointmr_engine.forward.surfel_lanes import CONSTANTS, LANE_ROWS
 from pointmr_engine.forward.transforms import (
-    Transforms,
     allocate_transforms,
     box_to_camera,
     compose,
@@ -244,7 +243,8 @@ def _add(view, hierarchy, heap, sizes, transforms, node, row, pad, box, bounds, 
 
 @device
 def _distortion(view, x0, y0, x1, y1):
-    """How much longer lengths become away from the view axis, at most, between these subpixels (talk: distortion factor)."""
+    """How much longer lengths become away from the view axis, at most, between these subpixels (talk: distortion
+    factor)."""
     if not view.perspective:
         return 1.0
     x = max(abs(x0 - view.shift_x), abs(x1 - view.shift_x)) / view.scale_x

@@ -1,7 +1,7 @@
 """The world as a light without noise: its sun as a lamp, and the rest filtered for every roughness of a lobe.
 
-Maps hold rows of equal angle from straight down and columns of equal azimuth, one map for each of a few roughnesses, and
-one filtered with the cosine. A lobe's light is one lookup in the direction it faces, between the two nearest
+Maps hold rows of equal angle from straight down and columns of equal azimuth, one map for each of a few roughnesses,
+and one filtered with the cosine. A lobe's light is one lookup in the direction it faces, between the two nearest
 roughnesses (split-sum approximation; Karis, Real Shading in Unreal Engine 4, 2013).
 """
 
@@ -108,7 +108,9 @@ def _directions(width: int) -> np.ndarray:
 def _radiance_map(environment: Environment, kind: int) -> np.ndarray:
     """(rows, columns, 3) float32."""
     if environment.constant is not None:
-        return np.broadcast_to(np.asarray(environment.constant, np.float32), (UNIFORM // 2, UNIFORM, 3)).copy()
+        return np.broadcast_to(
+            np.asarray(environment.constant, np.float32), (UNIFORM // 2, UNIFORM, 3)
+        ).copy()
     d = _directions(BASE)
     out = np.empty((len(d), 3), np.float32)
     for first in range(0, len(d), 1 << 16):

@@ -1,8 +1,8 @@
 """Exposure: how much of a piece of surface can be seen from outside its group, past all the rest of the group.
 
-What lies inside a group that is merged to a few samples - wood under leaves, rooms in a house - must neither mix into their
-colour nor count as area that covers: only the visible may be averaged (science 6.1). Measured by looking at the group
-along thirteen axes from both ends, through small depth buffers.
+What lies inside a group that is merged to a few samples - wood under leaves, rooms in a house - must neither mix into
+their colour nor count as area that covers: only the visible may be averaged (science 6.1). Measured by looking at the
+group along thirteen axes from both ends, through small depth buffers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ LEAST = 0.02  # what is hidden keeps this share of its area: it is there, should
 
 
 def exposure(row: np.ndarray) -> np.ndarray:
-    """(S,) float32 in LEAST..1: the share of each surfel that is seen from outside, from the better one of its two sides.
+    """(S,) float32 in LEAST..1: the share of each surfel that is seen from outside, from the better one of its two
+    sides.
 
     row (S, 16) float32: surfels of one whole group. A surface that nothing covers has 1, whether closed behind or not.
     """
@@ -63,7 +64,8 @@ def _bounds(row, k, middle, frame, cell, side, out):
 def _look(row, middle, frame, cell, nearest, seen):
     """Draw all surfels along an axis, seen from both ends; add up what is seen of each on the side that it faces.
 
-    nearest (2, side, side) float32: depths from either end. seen (S, 3): on the side of the normal, on the other, looked at.
+    nearest (2, side, side) float32: depths from either end. seen (S, 3): on the side of the normal, on the other,
+    looked at.
     """
     side = nearest.shape[1]
     box = np.empty(4, np.int64)

@@ -119,9 +119,11 @@ def build_octree(geometry: Geometry, progress: Callable[[float], object] | None 
 
 
 def triangle_corners(octree: Octree) -> np.ndarray:
-    """(M + 8, 9) float32: corners of the triangles among the items, relative to their group's centre; in the items' order.
+    """(M + 8, 9) float32: corners of the triangles among the items, relative to their group's centre; in the items'
+    order.
 
-    36 bytes a triangle, for those who draw them in large numbers; instances have no corners. The last eight rows are padding.
+    36 bytes a triangle, for those who draw them in large numbers; instances have no corners. The last eight rows are
+    padding.
     """
     geometry, a = octree.geometry, octree.arrays
     corners = np.zeros((len(a.item) + 8, 9), np.float32)

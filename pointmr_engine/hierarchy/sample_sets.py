@@ -291,7 +291,8 @@ class SampleSets:
     def _sample_nodes(
         self, g: int, ranges: np.ndarray, spacing: float, out: list[StoredSets], whole: bool = False
     ) -> None:
-        """Append the sets of the nodes with items in `ranges` (N, 2) to `out`; whole: they are all that is in the group."""
+        """Append the sets of the nodes with items in `ranges` (N, 2) to `out`; whole: they are all that is in the
+        group."""
         if whole:
             candidates, node = self._exposed(g, ranges, spacing)
         else:

@@ -16,9 +16,10 @@ _integers = ir.VectorType(_i32, WIDTH)
 def cover_eight(typingctx, depth, ids, offset, count, nearness, slope, entry, threshold, opacity):
     """Write `entry` to the subpixels that it is nearest in: up to eight of a row; returns the mask of those written.
 
-    depth: address of float32 nearness (larger is nearer), ids: address of int32, both indexed from `offset`; eight values
-    must be readable there, of which the first `count` may change. nearness, slope: float32, at the first one and its growth
-    from one to the next. threshold: address of eight float32; only where they are below `opacity` is it drawn.
+    depth: address of float32 nearness (larger is nearer), ids: address of int32, both indexed from `offset`; eight
+    values must be readable there, of which the first `count` may change. nearness, slope: float32, at the first one
+    and its growth from one to the next. threshold: address of eight float32; only where they are below `opacity` is
+    it drawn.
     """
     f, i = types.float32, types.int64
 
@@ -34,7 +35,9 @@ def cover_eight(typingctx, depth, ids, offset, count, nearness, slope, entry, th
         zeros = ir.Constant(_integers, [0] * WIDTH)
         counts = builder.shuffle_vector(one, ir.Constant(_integers, ir.Undefined), zeros)
         inside = builder.icmp_signed("<", ir.Constant(_integers, list(range(WIDTH))), counts)
-        drawn = builder.fcmp_ordered("<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[8]))
+        drawn = builder.fcmp_ordered(
+            "<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[8])
+        )
         mask = builder.and_(builder.and_(inside, drawn), builder.fcmp_ordered(">", new, old))
         _store(builder, builder.select(mask, new, old), depths, args[2])
         pointer = builder.bitcast(builder.gep(numbers, [args[2]]), _integers.as_pointer())

@@ -386,12 +386,8 @@ def test_nothing_there():
 def test_coarse_samples_show_what_is_outside():
     """A red ball inside a white one leaves no trace in the coarsest samples; with all surface averaged it would."""
     positions, triangles = sphere(24)
-    outside = Mesh(
-        "outside", positions, triangles, materials=(principled(base_color=(0.9, 0.9, 0.9)),)
-    )
-    inside = Mesh(
-        "inside", 0.8 * positions, triangles, materials=(principled(base_color=(0.9, 0.0, 0.0)),)
-    )
+    outside = Mesh("outside", positions, triangles, materials=(principled(base_color=(0.9, 0.9, 0.9)),))
+    inside = Mesh("inside", 0.8 * positions, triangles, materials=(principled(base_color=(0.9, 0.0, 0.0)),))
     for exposed in (False, True):
         sets = sets_of(Group("balls", [outside, inside]), exposed=exposed)
         sets.require([(0, 0)])
