@@ -31,6 +31,7 @@ from pointmr_engine.hierarchy.surfels import (
     chosen,
     joined,
     merge_surfels,
+    typical_rows,
 )
 
 NEVER, NOT_YET = -1, -2  # in SetArrays.sets[:, 0]: the node has no set; its set is not built yet
@@ -315,15 +316,14 @@ class SampleSets:
         rank[order] = np.arange(len(order), dtype=np.int32)
         representative = found.representative[order]
         owner = np.where(found.owner >= 0, rank[found.owner], np.int32(-1))
-        made = Surfels(
-            np.empty((len(order), COLUMNS), np.float32),
-            np.empty((len(order) if len(candidates.emission) > 1 else 1, 3), np.float32),
-            candidates.source[representative],
-            candidates.place[representative],
-        )
+        row = np.empty((len(order), COLUMNS), np.float32)
+        emission = np.empty((len(order) if len(candidates.emission) > 1 else 1, 3), np.float32)
         if len(candidates.emission) == 1:
-            made.emission[:] = candidates.emission
-        merge_surfels(candidates.row, candidates.emission, owner, representative, made.row, made.emission)
+            emission[:] = candidates.emission
+        merge_surfels(candidates.row, candidates.emission, owner, representative, row, emission)
+        typical = representative.astype(np.int64)
+        typical_rows(candidates.row, owner, row, typical)
+        made = Surfels(row, emission, candidates.source[typical], candidates.place[typical])
         out.append(StoredSets(np.bincount(home, minlength=len(ranges)), made))
 
     def _exposed(self, g: int, ranges: np.ndarray, spacing: float) -> tuple[Surfels, np.ndarray]:

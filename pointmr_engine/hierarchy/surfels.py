@@ -190,3 +190,22 @@ def merge_surfels(rows, emission, owner, representative, out, out_emission):
         if glows:
             for q in range(3):
                 out_emission[k, q] = light[k, q] * s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def typical_rows(rows, owner, merged, out):
+    """out (K,) int64: of the rows that owner names k, the largest of those whose colour is nearest to merged[k]'s.
+
+    What is evaluated later at one place of a sample's surface should look like the mean of it.
+    """
+    best = np.full(len(merged), np.inf)
+    for c in range(len(rows)):
+        k = owner[c]
+        if k < 0 or not rows[c, AREA] > 0.0:
+            continue
+        difference = 0.0
+        for q in range(RED, COLUMNS):
+            difference += (rows[c, q] - merged[k, q]) ** 2
+        if difference < best[k] or (difference == best[k] and rows[c, AREA] > rows[out[k], AREA]):
+            best[k] = difference
+            out[k] = c
