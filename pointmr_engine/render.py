@@ -172,13 +172,13 @@ def _compile(
         program = compile_graph((material or plain).graph, filtered=filtered)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
-    warnings += geometry.warnings
     if forward:
         from pointmr_engine.forward.method import Sampler
 
         clock.phase("building hierarchies")
         sampler = Sampler(scene, geometry, programs, clock.tell)
-        return Compiled(geometry, programs, None, None, sampler, warnings + sampler.environment.warnings)
+        warnings += geometry.warnings + sampler.environment.warnings
+        return Compiled(geometry, programs, None, None, sampler, warnings)
     from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
     from pointmr_engine.raytracing.lights import build_lights
 
@@ -188,7 +188,9 @@ def _compile(
     acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
     clock.phase("gathering lights")
     lights = build_lights(scene, geometry, programs)
-    return Compiled(geometry, programs, acceleration, lights, None, warnings + lights.warnings)
+    return Compiled(
+        geometry, programs, acceleration, lights, None, warnings + geometry.warnings + lights.warnings
+    )
 
 
 def _splat(

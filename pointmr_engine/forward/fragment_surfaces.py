@@ -9,14 +9,10 @@ import numpy as np
 from pointmr_engine.forward.draw import Entries
 from pointmr_engine.forward.fragments import Fragments
 from pointmr_engine.forward.placement_values import PlacementValues
+from pointmr_engine.forward.surfel_lanes import FLAT, ROUND
 from pointmr_engine.forward.transforms import Transforms
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import HOLDOUT
-
-FLAT, ROUND = (
-    0.95,
-    0.5,
-)  # lengths of a mean normal from and below which a piece counts as flat and as all directions
 
 
 @uncounted

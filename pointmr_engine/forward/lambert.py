@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.forward.surfel_lanes import FLAT, ROUND
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.light import Light
-
-_FLAT, _ROUND = 0.95, 0.5
 
 
 class SimpleShading:
@@ -116,7 +115,7 @@ def shade_lambert(
             vx, vy, vz = 0.0, 0.0, -1.0
         nx, ny, nz = np.float64(normal[k, 0]), np.float64(normal[k, 1]), np.float64(normal[k, 2])
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
-        flat = min(max((length - _ROUND) / (_FLAT - _ROUND), 0.0), 1.0)
+        flat = min(max((length - ROUND) / (FLAT - ROUND), 0.0), 1.0)
         if length > 0.0:
             back = 1.0 / length
             if nx * vx + ny * vy + nz * vz < 0.0:

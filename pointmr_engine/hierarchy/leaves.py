@@ -9,7 +9,7 @@ from pointmr_engine.hierarchy.bvh_build import NUMBER
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.pointers import pointer_f64
 from pointmr_engine.numerics.transforms import is_singular
-from pointmr_engine.scene.group import HOLDOUT
+from pointmr_engine.scene.group import HOLDOUT, Group, Instances
 
 LIMIT = np.float32(1e12)
 
@@ -132,6 +132,14 @@ def _instance_boxes(address, count, group_index, groups, lower, upper, center, s
     return n
 
 
+def skipped_placements(batch: Instances, group: Group, bad: int, first: int) -> str:
+    """The warning about placements whose matrix cannot be used."""
+    return (
+        f"instances '{batch.name}' in group '{group.name}': {bad} of {len(batch)} placements "
+        f"have a singular or infinite matrix and are skipped (the first is number {first})"
+    )
+
+
 class GroupBuilder:
     """Boxes of what groups hold, children before parents; keeps every group's bounds in its own space."""
 
@@ -161,10 +169,7 @@ class GroupBuilder:
             count += len(batch)
             if bad and b not in self._reported:
                 self._reported.add(b)
-                self.warnings.append(
-                    f"instances '{batch.name}' in group '{geometry.groups[g].name}': {bad} of {len(batch)} placements "
-                    f"have a singular or infinite matrix and are skipped (the first is number {first})"
-                )
+                self.warnings.append(skipped_placements(batch, geometry.groups[g], bad, first))
         if not (lo <= hi).all():
             return None
         self.lower[g], self.upper[g] = lo, hi

@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.leaves import skipped_placements
 from pointmr_engine.numerics.pointers import pointer_f64
 from pointmr_engine.numerics.transforms import is_singular
 from pointmr_engine.scene.group import CAMERA
@@ -171,10 +172,12 @@ def _group_items(geometry: Geometry, g: int, lower, upper, side):
             else np.asarray(batch.visibility, np.uint8)
         )
         row, box, size = np.empty((n, 2), np.int32), np.empty((n, 6)), np.empty(n)
-        used = _instance_items(
+        used, bad, number = _instance_items(
             np.uint64(tables.transforms[b]), np.int64(n), index, groups, seen, lower, upper, side,
             np.int64(b), row, box, size,
         )  # fmt: skip
+        if bad:
+            geometry.warnings.append(skipped_placements(batch, geometry.groups[g], bad, number))
         rows.append(row[:used])
         boxes.append(box[:used])
         sizes.append(size[:used])
@@ -220,11 +223,16 @@ def _triangle_items(positions, triangles, offset, part, rows, boxes, sizes):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _instance_items(address, count, index, groups, seen, lower, upper, side, batch, rows, boxes, sizes):
     m = pointer_f64(address)
-    n = 0
+    n = bad = 0
+    number = -1
     for i in range(count):
         g = groups[index[i if len(index) > 1 else 0]]
         at = 12 * i
-        if not lower[g, 0] <= upper[g, 0] or is_singular(m, at):
+        if not lower[g, 0] <= upper[g, 0]:
+            continue
+        if is_singular(m, at):
+            number = i if bad == 0 else number
+            bad += 1
             continue
         if seen[i if len(seen) > 1 else 0] & CAMERA == 0:
             continue
@@ -242,7 +250,7 @@ def _instance_items(address, count, index, groups, seen, lower, upper, side, bat
         rows[n, 0] = -1 - batch
         rows[n, 1] = i
         n += 1
-    return n
+    return n, bad, number
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -347,3 +347,11 @@ def test_statistics_count_what_was_drawn():
     assert frame.stats["method"] == "forward"
     assert counters["fragments"] > 0 and counters["nodes"] > counters["outside"]
     assert frame.stats["needs"]["sample_sets"] > 0
+
+
+def test_placements_that_cannot_be_drawn_are_named():
+    child = Group("child", [Mesh("m", *sphere())])
+    placed = np.stack([np.eye(4)[:3], np.zeros((3, 4))])
+    root = Group("root", [], [Instances((child,), placed, name="copies")])
+    frame = render(Scene(root, camera=Camera()), RenderSettings(16, 12, method="forward"))
+    assert any("'copies'" in w and "1 of 2" in w for w in frame.warnings)

@@ -83,7 +83,7 @@ def test_the_picture_does_not_depend_on_where_and_how_large_the_scene_is(at_home
     # positions are float64: at 10^6 they are known to 10^-10, a millionth of the smallest scene
     there = picture(moved(scale, shift))
     difference = np.abs(there - at_home)
-    assert difference.mean() < 2e-4
+    assert difference.mean() < 3e-4
     # hardly a sample falls on the other side of a subpixel's border
     assert (difference.max(-1) > 0.01).mean() < 0.01
 
