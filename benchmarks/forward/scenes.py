@@ -283,11 +283,6 @@ def depths(tau: float, count: int = 1200, seed: int = 0) -> Flight:
     return Flight(f"depth range {tau:g}", Group("depths", [], [Instances((tree,), placed)]), [view])
 
 
-def ladder(views: int = 4) -> list[Flight]:
-    """Forests of 10^5 to 10^10 triangles that cover ever more land: the talk's way to grow."""
-    return [forest(n, views) for n in (1, 10, 100, 1000, 10_000, 100_000)]
-
-
 def dragon(path: Path, views: int = 4) -> Flight:
     """The 871,414-triangle dragon on a floor, from its .ply.gz."""
     from benchmarks.speed_rays import read_ply

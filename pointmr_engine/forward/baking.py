@@ -16,8 +16,6 @@ from pointmr_engine.shading.leaves import COLUMNS, Leaf
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.program import Program
 
-_SILENT = (kinds.TRANSPARENT, kinds.EMISSION, kinds.BACKGROUND, kinds.HOLDOUT)
-
 
 class Baker:
     """Materials at surface points in their mesh's space; see hierarchy.sample_sets.Looks. Threads may share it."""

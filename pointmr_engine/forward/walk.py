@@ -297,8 +297,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
         x1, y1 = np.float64(heap.bounds[slot, 2]), np.float64(heap.bounds[slot, 3])
         apart = octree.side[node] * SPACING * scale[row]
         if culling and count > 0:
-            hidden = _is_hidden(view, target, width, height, x0, y0, x1, y1, near - apart)
-            if hidden:
+            if _is_hidden(view, target, width, height, x0, y0, x1, y1, near - apart):
                 counters[2] += 1
                 continue
         own, large, own_end = octree.items[node, 0], octree.items[node, 1], octree.items[node, 2]
@@ -317,18 +316,8 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
             if count + n > len(entries.surfel):
                 return ENTRIES_FULL
             set_constants(
-                view,
-                width,
-                height,
-                left,
-                low,
-                transforms.matrix,
-                row,
-                scale[row],
-                octree.box,
-                node,
-                constants,
-            )
+                view, width, height, left, low, transforms.matrix, row, scale[row], octree.box, node, constants,
+            )  # fmt: skip
             count = draw_set(
                 target, width, height, constants, lanes, address, row, first, n, entries, count, counters
             )
@@ -368,18 +357,8 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 return ENTRIES_FULL
             if not ready:
                 set_constants(
-                    view,
-                    width,
-                    height,
-                    left,
-                    low,
-                    transforms.matrix,
-                    row,
-                    scale[row],
-                    octree.box,
-                    node,
-                    constants,
-                )
+                    view, width, height, left, low, transforms.matrix, row, scale[row], octree.box, node, constants,
+                )  # fmt: skip
                 ready = True
             counters[5] += last - i
             count = draw_triangles(

@@ -177,11 +177,6 @@ class SampleSets:
                 self._candidates.clear()
                 self._exposures.clear()
 
-    def release(self) -> None:
-        """Forget what only helps to build further levels."""
-        with self._lock:
-            self._covers.clear()
-
     def spacing(self, g: int, level: int) -> float:
         """Distance of the samples of group g at `level`, in its space."""
         return float(np.ldexp(self.octree.arrays.group_side[g] * SPACING, CHAIN - level))

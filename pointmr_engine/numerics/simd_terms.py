@@ -8,7 +8,6 @@ from numba.core import cgutils
 from pointmr_engine.numerics.simd import WIDTH, _f32, _i64, _vector
 
 _i32 = ir.IntType(32)
-_lanes = ir.VectorType(_i64, WIDTH)
 
 
 class Terms:
