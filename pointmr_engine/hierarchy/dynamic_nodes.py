@@ -69,7 +69,7 @@ def _refresh(nodes, items, n):
     for k in range(3):
         nodes.box[n, k] = np.inf
         nodes.box[n, 3 + k] = -np.inf
-    for s in range(8):
+    for s in range(SLOTS):
         i = nodes.slot[n, s]
         if i >= 0:
             found = True
@@ -105,7 +105,7 @@ def _refresh_up(nodes, items, state, n):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _take_slot(nodes, items, n, i):
-    for s in range(8):
+    for s in range(SLOTS):
         if nodes.slot[n, s] < 0:
             nodes.slot[n, s] = i
             items.node[i] = n
@@ -129,7 +129,7 @@ def _octant(items, i, x, y, z):
 def _split(nodes, items, state, n, x, y, z, side):
     """Send a leaf's items that fit into smaller cells down one level."""
     moved = False
-    for s in range(8):
+    for s in range(SLOTS):
         i = np.int64(nodes.slot[n, s])
         if 0.5 * side < items.size[i]:
             continue
@@ -260,7 +260,7 @@ def delete_many(nodes, items, state, numbers):
     for r in range(len(numbers)):
         i = numbers[r]
         n = np.int64(items.node[i])
-        for s in range(8):
+        for s in range(SLOTS):
             if nodes.slot[n, s] == i:
                 nodes.slot[n, s] = -1
         items.node[i] = -1
@@ -279,7 +279,7 @@ def sample_many(nodes, items, state, us, out):
         while n >= 0:
             state[6] += 1
             below, last, chosen = np.int64(-1), np.int64(-1), np.int64(-1)
-            for s in range(8):
+            for s in range(SLOTS):
                 i = np.int64(nodes.slot[n, s])
                 if i >= 0 and chosen < 0:
                     last = i
