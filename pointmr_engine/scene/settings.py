@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pointmr_engine.scene.errors import SceneError
 
-METHODS = ("conventional", "distributed", "forward")
+METHODS = ("raytrace", "forward", "conventional", "distributed")
 FILTERS = ("box", "gaussian", "blackman_harris")
 PASSES = (
     "combined",
@@ -28,6 +28,9 @@ RECONSTRUCTIONS = ("pixel", "gaussian", "subpixel", "analytic")
 SHADINGS = ("simple", "full")
 SUBPIXELS = (2, 4, 8)
 SAMPLES_PER_PIXEL = (0.05, 64.0)
+CONES = (1, 4, 16, 64)
+SECONDARY = ("cones", "rays")
+FOOTPRINT = (0.25, 4.0)
 
 
 @dataclass
@@ -87,6 +90,34 @@ class ForwardSettings:
 
 
 @dataclass
+class RaytraceSettings:
+    """Settings of method "raytrace": extended rays (cones) through a prefiltered hierarchy.
+
+    cones: per pixel; each is narrower by as much, so that the error falls towards zero with their number.
+    footprint: factor of the size of the details that samples are taken for; below 1 finer levels are used.
+    secondary: shadows, reflections and refractions by "cones" or by the exact random "rays" of method "distributed".
+    cache_folder: where sample sets are kept between runs; None: nowhere.
+    """
+
+    cones: int = 1
+    footprint: float = 1.0
+    secondary: str = "cones"
+    cache_folder: str | None = None
+
+    def validate(self) -> None:
+        """Raise SceneError for a value that no render could honour, naming its field."""
+        for name, choices in (("cones", CONES), ("secondary", SECONDARY)):
+            value = getattr(self, name)
+            if value not in choices:
+                raise SceneError(f"raytrace.{name} = {value!r} is not one of {', '.join(map(str, choices))}")
+        low, high = FOOTPRINT
+        if not low <= self.footprint <= high:
+            raise SceneError(f"raytrace.footprint = {self.footprint} is outside {low}..{high}")
+        if self.cache_folder is not None and not (isinstance(self.cache_folder, str) and self.cache_folder):
+            raise SceneError(f"raytrace.cache_folder = {self.cache_folder!r} must be a path, or None")
+
+
+@dataclass
 class RenderSettings:
     """Settings of one image. Region is in pixels, (x0, y0, x1, y1) from the lower left, None for all."""
 
@@ -116,6 +147,7 @@ class RenderSettings:
     passes: tuple[str, ...] = ("combined", "depth")
     threads: int = 0  # 0: one per core
     forward: ForwardSettings = field(default_factory=ForwardSettings)  # of method "forward" alone
+    raytrace: RaytraceSettings = field(default_factory=RaytraceSettings)  # of method "raytrace" alone
 
     def validate(self) -> None:
         """Raise SceneError for a value that no render could honour."""
@@ -141,3 +173,4 @@ class RenderSettings:
                     f"region {self.region} is empty or outside the {self.width}x{self.height} image"
                 )
         self.forward.validate()
+        self.raytrace.validate()
