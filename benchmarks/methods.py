@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 ENGINES = {"cycles": "CYCLES", "nothing": "JUDGE_NOTHING"}
 OURS = ("conventional", "distributed", "raytrace", "forward")
+CONES = (1, 4, 16, 64)
 PROTOCOL = (
     3  # raise when the settings below change what an image shows: cached references are then rendered anew
 )
@@ -13,7 +14,9 @@ PROTOCOL = (
 
 @dataclass(frozen=True)
 class Method:
-    """A renderer and its samples per pixel: "cycles", one of our methods, or "nothing": what Blender itself takes."""
+    """A renderer and its samples (raytrace: cones) per pixel: "cycles", one of our methods, or "nothing": what Blender
+    itself takes.
+    """
 
     name: str
     samples: int
@@ -24,13 +27,17 @@ class Method:
 
 
 def parse_methods(words: list[str]) -> list[Method]:
-    """["distributed:64,256", "cycles:64", "conventional"] -> Methods. Raises ValueError for unknown names."""
+    """["distributed:64,256", "cycles:64", "raytrace:1,4"] -> Methods. Raises ValueError for what is unknown."""
     methods = []
     for word in words:
         name, _, counts = word.partition(":")
         if name not in (*OURS, "cycles", "nothing"):
             raise ValueError(f"method '{name}' is not one of cycles, nothing, {', '.join(OURS)}")
-        methods += [Method(name, int(c)) for c in (counts or "1").split(",")]
+        found = [Method(name, int(c)) for c in (counts or "1").split(",")]
+        for method in found:
+            if name == "raytrace" and method.samples not in CONES:
+                raise ValueError(f"{method.label}: cones per pixel are one of {', '.join(map(str, CONES))}")
+        methods += found
     return methods
 
 
@@ -119,7 +126,11 @@ def configure(scene, method: Method, seed: int, size, overrides: dict, threads: 
             else:
                 missing.append(name)
     group.seed = seed
-    if method.name != "conventional":
+    if method.name == "raytrace":
+        group.raytrace_cones = str(method.samples)
+    elif method.name == "forward":
+        group.forward_samples_per_pixel = method.samples
+    elif method.name != "conventional":
         group.samples = method.samples
     return missing
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from . import batch
-from .headless import FAILED, INTERRUPTED, CommandError
+from .headless import FAILED, INTERRUPTED, CommandError, option_of
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -54,9 +54,9 @@ def build_parser() -> argparse.ArgumentParser:
     add(
         "--method",
         metavar="NAME",
-        help="conventional, distributed or forward; default, here and below: as the file has it",
+        help="raytrace, forward, conventional or distributed; default, here and below: as the file has it",
     )
-    add("--samples", type=_positive, metavar="N", help="samples per pixel")
+    add("--samples", type=_positive, metavar="N", help="samples per pixel of the other methods than raytrace")
     add("--size", type=_size, metavar="640x480", help="size of the image in pixels")
     add("--camera", metavar="NAME", help="object name of the camera to render from")
     add("--seed", type=_natural, metavar="N", help="seed of the random numbers")
@@ -83,7 +83,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     add("-v", "--verbose", action="store_true", help="show Blender's own output")
     add("--worker", action="store_true", help=argparse.SUPPRESS)
-    _add_forward(render.add_argument_group("method forward", "Choices are explained in Blender's panel."))
+    _add_own(render.add_argument_group("method raytrace", EXPLAINED), RAYTRACE)
+    _add_own(render.add_argument_group("method forward", EXPLAINED), FORWARD)
 
     info = commands.add_parser("info", help="say what a .blend file holds, as the renderer sees it")
     info.set_defaults(run=_run_info)
@@ -93,7 +94,15 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-# The properties of scene.pointmr that --method forward reads: what their options take, and say.
+EXPLAINED = "Choices are explained in Blender's panel."
+
+# The properties of scene.pointmr that only one method reads: what their options take, and say.
+RAYTRACE = {
+    "raytrace_cones": ("N", "cones per pixel: 1, 4, 16, 64"),
+    "raytrace_footprint": ("X", "size of the smallest detail that is looked at, against a cone's, 0.25 to 4"),
+    "raytrace_secondary": ("NAME", "what finds shadows and reflections: cones, rays"),
+    "raytrace_keep_sets": (None, "keep sample sets on disk for the next run"),
+}
 FORWARD = {
     "forward_sampling": ("NAME", "samples made once, or drawn for each image: static, dynamic"),
     "forward_samples_per_pixel": ("X", "surface samples for each pixel's area, 0.05 to 64; also: --samples"),
@@ -111,13 +120,13 @@ FORWARD = {
 }
 
 
-def _add_forward(group) -> None:
-    for name, (takes, text) in FORWARD.items():
-        option = "--" + name.replace("_", "-")
+def _add_own(group, properties: dict) -> None:
+    for name, (takes, text) in properties.items():
         if takes is None:
-            group.add_argument(option, action=argparse.BooleanOptionalAction, help=text)
+            kind = {"action": argparse.BooleanOptionalAction}
         else:
-            group.add_argument(option, metavar=takes, help=text)
+            kind = {"metavar": takes}
+        group.add_argument(f"--{option_of(name)}", dest=name, help=text, **kind)
 
 
 def _number(text: str, least: int) -> int:

@@ -14,7 +14,7 @@ from .report import Reporter
 
 POLL_SECONDS = 0.1  # how often Esc is looked at
 SHOW_SECONDS = 1.0  # how often a final render's unfinished image is shown
-PREVIEW_SAMPLES = 16  # of a material preview, which is small and asked for at every change
+PREVIEW_SAMPLES, PREVIEW_CONES = 16, 1  # of a material preview, which is small and asked for at every change
 _viewports = weakref.WeakSet()  # to be stopped when the add-on goes
 
 
@@ -147,7 +147,10 @@ class PointMRRender(bpy.types.RenderEngine):
         facts = dict(frame.stats)
         if settings.method == "forward":
             facts["samples"] = f"{settings.forward.samples_per_pixel:g}"
-        for key in ("method", "samples", "triangles", "unique_triangles"):
+        elif settings.method == "raytrace":
+            facts = {**facts, "cones": settings.raytrace.cones}
+            facts.pop("samples", None)
+        for key in ("method", "samples", "cones", "triangles", "unique_triangles"):
             if key in facts:
                 result.stamp_data_add_field(f"PointMR {key.replace('_', ' ')}", str(facts[key]))
 
@@ -189,6 +192,7 @@ def render_settings(scene, layer, engine):
     settings.passes = passes.engine_passes(layer)
     if engine.is_preview:
         settings.samples = min(settings.samples, PREVIEW_SAMPLES)
+        settings.raytrace.cones = PREVIEW_CONES
     return settings
 
 

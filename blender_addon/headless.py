@@ -49,9 +49,7 @@ class Options:
     compositing: bool = False
     png: bool = False
     half: bool = False
-    forward: dict[str, str | bool] = field(
-        default_factory=dict
-    )  # property of scene.pointmr -> value, as typed
+    own: dict[str, str | bool] = field(default_factory=dict)  # a method's property of scene.pointmr: as typed
 
 
 @dataclass
@@ -181,10 +179,13 @@ def apply_options(scene, options: Options) -> None:
         own.samples = options.samples
         if own.method == "FORWARD":
             set_property(own, "forward_samples_per_pixel", str(options.samples), "samples")
-    for name, value in options.forward.items():
-        if own.method != "FORWARD":
-            raise CommandError(f"--{name.replace('_', '-')} is of method forward, not {own.method.lower()}")
-        set_property(own, name, value)
+        elif own.method == "RAYTRACE":
+            raise CommandError("--samples is not of method raytrace, which takes --cones 1, 4, 16 or 64")
+    for name, value in options.own.items():
+        method, option = name.partition("_")[0], option_of(name)
+        if own.method != method.upper():
+            raise CommandError(f"--{option} is of method {method}, not {own.method.lower()}")
+        set_property(own, name, value, option)
     if options.seed is not None:
         own.seed, own.use_animated_seed = options.seed, False
     if options.size is not None:
@@ -203,6 +204,11 @@ def apply_options(scene, options: Options) -> None:
     if scene.camera is None:
         hint = f"; choose one with --camera: {', '.join(cameras)}" if cameras else ""
         raise CommandError(f"scene '{scene.name}' has no camera{hint}")
+
+
+def option_of(name: str) -> str:
+    """The command's option for a method's property of scene.pointmr; the main method's have no prefix."""
+    return name.removeprefix("raytrace_").replace("_", "-")
 
 
 def set_property(group, name: str, value: str | bool, option: str = "") -> None:

@@ -2,8 +2,7 @@
 own).
 
 Names follow Cycles where the meaning is the same, so that scripts and habits carry over. Enum items carry
-fixed numbers: files store the number, so an item's number never changes, and that of a method to come
-(RAYTRACE 0) is kept free.
+fixed numbers: files store the number, so an item's number never changes.
 """
 
 from __future__ import annotations
@@ -12,8 +11,16 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
 from .forward_properties import ForwardProperties
+from .raytrace_properties import RaytraceProperties
 
 METHODS = (
+    (
+        "RAYTRACE",
+        "Raytracing",
+        "Cones as wide as pixels meet surfaces at the resolution that the image can show: "
+        "smooth edges, soft shadows and reflections without noise, for scenes of any size",
+        0,
+    ),
     ("CONVENTIONAL", "Conventional", "One ray through the centre of each pixel: fast, sharp, aliased", 2),
     ("DISTRIBUTED", "Distributed", "Many random rays per pixel over filter, lens, lights and reflections", 3),
     (
@@ -32,7 +39,7 @@ PIXEL_FILTERS = (
 )
 
 
-class PointMRSceneSettings(ForwardProperties, bpy.types.PropertyGroup):
+class PointMRSceneSettings(RaytraceProperties, ForwardProperties, bpy.types.PropertyGroup):
     """Render settings of a scene, at `scene.pointmr`."""
 
     method: EnumProperty(

@@ -19,14 +19,18 @@ FORWARD_FIRST, FORWARD_SECOND, FORWARD_FINEST = (
     1.0,
     4.0,
 )  # samples per pixel of forward mapping's passes
+CONES = (1, 4, 16, 64)  # of raytracing's
 
 
 class Step(NamedTuple):
-    """One picture: pixels `scale` screen pixels wide; samples per pixel; whether it is averaged with others such."""
+    """One picture: pixels `scale` screen pixels wide; samples (or cones) per pixel; whether it is averaged with others
+    such; whether forward mapping makes it for another method.
+    """
 
     scale: int
     samples: float
     averaged: bool
+    sketched: bool = False
 
 
 Schedule = Generator[Step, float, None]
@@ -59,15 +63,7 @@ class ForwardPace:
         forward: the engine's ForwardSettings. Dynamic samples are others in each pass: their mean over `total` samples
         per pixel is the best picture. Static ones are the same for all seeds: one pass, as dense as the final image.
         """
-        known, coarse = scene is self._scene, max(COARSEST, pixel_size)
-        scale = pixel_size
-        while scale < coarse and not self._seconds * (pixel_size / scale) ** 2 < SMOOTH_SECONDS:
-            scale = min(2 * scale, coarse)
-        seconds = yield Step(scale, FORWARD_FIRST, False)
-        if known:
-            self._learn(seconds, scale, pixel_size)
-        else:  # which also built its hierarchies
-            self._scene, self._seconds = scene, math.inf
+        scale, seconds = yield from self._first(scene, pixel_size, sketched=False)
         while scale // 2 > pixel_size and seconds * (scale / pixel_size) ** 2 > PATIENT_SECONDS:
             scale //= 2
             seconds = yield Step(scale, FORWARD_SECOND, False)
@@ -82,6 +78,31 @@ class ForwardPace:
         for _ in range(passes):
             yield Step(pixel_size, samples, True)
 
+    def sketched_steps(self, scene, cones: int, pixel_size: int) -> Schedule:
+        """For method raytrace: a first picture by forward mapping; then one cone a pixel, and ever more up to `cones`.
+
+        Each picture of more cones is better than the mean of all that came before: none is averaged.
+        """
+        scale, _ = yield from self._first(scene, pixel_size, sketched=True)
+        if scale > 2 * pixel_size:  # forward mapping was slow, so cones are slower still
+            yield Step(2 * pixel_size, 1, False)
+        for count in CONES:
+            if count <= cones:
+                yield Step(pixel_size, count, count == cones)
+
+    def _first(self, scene, pixel_size: int, sketched: bool) -> Generator[Step, float, tuple[int, float]]:
+        """A first picture, of full pixels if those of the same scene were quick; returns its scale and seconds."""
+        known, coarse = scene is self._scene, max(COARSEST, pixel_size)
+        scale = pixel_size
+        while scale < coarse and not self._seconds * (pixel_size / scale) ** 2 < SMOOTH_SECONDS:
+            scale = min(2 * scale, coarse)
+        seconds = yield Step(scale, FORWARD_FIRST, False, sketched)
+        if known:
+            self._learn(seconds, scale, pixel_size)
+        else:  # which also built its hierarchies
+            self._scene, self._seconds = scene, math.inf
+        return scale, seconds
+
     def _learn(self, seconds: float, scale: int, pixel_size: int) -> None:
         if scale == pixel_size:
             self._seconds = seconds
@@ -89,9 +110,22 @@ class ForwardPace:
             self._seconds = min(self._seconds, seconds * (scale / pixel_size) ** 2)
 
 
-def with_samples(settings, samples: float, number: int):
-    """The engine's settings for the pass of this number, with so many samples per pixel."""
+def with_samples(settings, step: Step, number: int):
+    """The engine's settings for the pass of this number, with the step's samples per pixel."""
     settings = replace(settings, seed=settings.seed + 1000003 * number)
+    if step.sketched:
+        forward = replace(
+            settings.forward,
+            sampling="static",
+            reconstruction="subpixel",
+            subpixels=2,
+            shading="simple",
+            shadows=False,
+            cache_folder=settings.raytrace.cache_folder,
+        )
+        settings = replace(settings, method="forward", forward=forward)
     if settings.method == "forward":
-        return replace(settings, forward=replace(settings.forward, samples_per_pixel=samples))
-    return replace(settings, samples=int(samples))
+        return replace(settings, forward=replace(settings.forward, samples_per_pixel=step.samples))
+    if settings.method == "raytrace":
+        return replace(settings, raytrace=replace(settings.raytrace, cones=int(step.samples)))
+    return replace(settings, samples=int(step.samples))

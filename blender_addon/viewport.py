@@ -132,7 +132,8 @@ class Refiner:
         self._versions = 0
         self._closed = False
         self._pace = ForwardPace()
-        self._cache = None  # the engine's, of the newest scene: a change of view alone builds nothing again
+        # the engine's, of the newest scene, by whether a step is sketched: a change of view alone builds nothing again
+        self._caches = {}
         self._thread = threading.Thread(target=self._run, name="PointMR viewport", daemon=True)
         self._thread.start()
 
@@ -176,8 +177,8 @@ class Refiner:
         kernel_cache.prepare()
         from pointmr_engine.render import Cache, render
 
-        if self._cache is None:
-            self._cache = Cache()
+        if not self._caches:
+            self._caches = {sketched: Cache() for sketched in (False, True)}
 
         def progress(fraction, text, tile=None) -> bool:
             if average is None and text not in ("rendering", "done"):
@@ -185,7 +186,10 @@ class Refiner:
             return self._outdated(generation, scene, text)
 
         lens, total = scene.camera, settings.samples
-        if settings.method == "forward":
+        if settings.method == "raytrace":
+            total = settings.raytrace.cones
+            steps = self._pace.sketched_steps(scene, total, pixel_size)
+        elif settings.method == "forward":
             steps = self._pace.steps(scene, settings.forward, total, pixel_size)
         else:
             steps = ray_steps(total, pixel_size)
@@ -193,10 +197,11 @@ class Refiner:
         step = next(steps, None)
         while step is not None:
             size = {"width": -(-view.width // step.scale), "height": -(-view.height // step.scale)}
-            batch = replace(with_samples(settings, step.samples, number), **size)
+            batch = replace(with_samples(settings, step, number), **size)
             camera = camera_from_view(view, step.scale, lens)
             start = time.perf_counter()
-            frame = render(replace(scene, camera=camera), batch, progress=progress, cache=self._cache)
+            cache = self._caches[step.sketched]
+            frame = render(replace(scene, camera=camera), batch, progress=progress, cache=cache)
             if generation != self._generation or frame is None:
                 return
             seconds = time.perf_counter() - start
@@ -266,6 +271,7 @@ class Viewport:
             settings = sync.settings_from_blender(scene, depsgraph.view_layer_eval)
             settings = replace(settings, region=None, pixel_aspect=1.0, passes=("combined",))
             settings.samples = scene.pointmr.preview_samples
+            settings.raytrace.cones = int(scene.pointmr.raytrace_preview_cones)
             settings.threads = preferences.viewport_threads() or max(1, (os.cpu_count() or 2) - 1)
             self._settings = settings
             size = scene.render.preview_pixel_size

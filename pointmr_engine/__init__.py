@@ -15,7 +15,7 @@ from pointmr_engine.scene.light import Light
 from pointmr_engine.scene.material import Material, emission, principled
 from pointmr_engine.scene.mesh import Attribute, Mesh
 from pointmr_engine.scene.scene import Scene
-from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
+from pointmr_engine.scene.settings import ForwardSettings, RaytraceSettings, RenderSettings
 from pointmr_engine.scene.texture import Image
 from pointmr_engine.scene.world import World, uniform_world
 
@@ -30,6 +30,7 @@ __all__ = [
     "Light",
     "Material",
     "Mesh",
+    "RaytraceSettings",
     "RenderSettings",
     "Scene",
     "SceneError",

@@ -21,6 +21,7 @@ from ..headless import (
     check_writable,
     interruptible,
     open_blend,
+    option_of,
     output_files,
     output_path,
     peak_memory,
@@ -43,14 +44,13 @@ def _options(a: argparse.Namespace) -> Options:
         "png",
         "half",
     )
-    return Options(a.file, output, **{name: getattr(a, name) for name in names}, forward=_forward(a))
+    return Options(a.file, output, **{name: getattr(a, name) for name in names}, own=_own(a))
 
 
-def _forward(a: argparse.Namespace) -> dict[str, str | bool]:
-    """The options of method forward that were given."""
-    return {
-        name: value for name, value in vars(a).items() if name.startswith("forward_") and value is not None
-    }
+def _own(a: argparse.Namespace) -> dict[str, str | bool]:
+    """The options of single methods that were given."""
+    methods = ("forward_", "raytrace_")
+    return {name: value for name, value in vars(a).items() if name.startswith(methods) and value is not None}
 
 
 def command_render(a: argparse.Namespace) -> int:
@@ -138,8 +138,8 @@ def render_in_processes(a: argparse.Namespace, frames, several: bool, report: Re
     threads = a.threads if a.threads is not None else max((os.cpu_count() or 1) // a.jobs, 1)
     arguments += ["--threads", str(threads)]
     arguments += [f"--{name}" for name in ("png", "half", "compositing", "scripts") if getattr(a, name)]
-    for name, value in _forward(a).items():
-        option = name.replace("_", "-")
+    for name, value in _own(a).items():
+        option = option_of(name)
         arguments += (
             [f"--{'' if value else 'no-'}{option}"] if isinstance(value, bool) else [f"--{option}", value]
         )

@@ -82,6 +82,8 @@ def summary(rendered: dict, memory: int) -> str:
     if settings["method"] == "forward":
         forward = settings["forward"]
         lines[0] += f", {forward['sampling']}, {forward['samples_per_pixel']:g} samples per pixel"
+    elif settings["method"] == "raytrace":
+        lines[0] += _cones(settings["raytrace"])
     elif settings["method"] != "conventional":
         lines[0] += f", {count(settings['samples'], 'sample')} per pixel"
     if {"unique_triangles", "triangles", "nesting"} <= set(stats):
@@ -98,11 +100,38 @@ def summary(rendered: dict, memory: int) -> str:
     counted = [f"{n:,} {name.replace('_', ' ')}" for name, n in stats.get("counters", {}).items() if n]
     if counted:
         lines.append(f"  counted: {', '.join(counted)}")
+    if settings["method"] == "raytrace" and stats.get("needs"):
+        lines += needs_lines(stats["needs"])
     if rendered["stats"].get("cold"):
         lines.append("  (kernels were compiled, which only a first render does)")
     lines.append(f"  peak memory: {memory / 2**20:,.0f} MB")
     lines += [f"  {Path(path).resolve()}" for path in rendered["files"]]
     return "\n".join(lines)
+
+
+def _cones(raytrace: dict) -> str:
+    """How method raytrace was asked to work, what is not the default only where it is so."""
+    text = f", {count(raytrace['cones'], 'cone')} per pixel"
+    if raytrace["footprint"] != 1.0:
+        text += f", footprint {raytrace['footprint']:g}"
+    return text + (", secondary rays" if raytrace["secondary"] == "rays" else "")
+
+
+def needs_lines(needs: dict) -> list[str]:
+    """What a frame required, with its amount if it has one, and what it could do without."""
+    needed, spared = [], []
+    for key, value in needs.items():
+        name, value = key.replace("_", " "), value.tolist() if hasattr(value, "tolist") else value
+        if not value:
+            spared.append(name)
+        elif value is True:
+            needed.append(name)
+        elif isinstance(value, (tuple, list, set, frozenset)):
+            needed.append(f"{name} ({', '.join(map(str, value))})")
+        else:
+            needed.append(f"{name} {value:,}" if isinstance(value, int) else f"{name} {value}")
+    lines = [("needed", needed), ("not needed", spared)]
+    return [f"  {title}: {', '.join(names)}" for title, names in lines if names]
 
 
 def count(n: int, what: str) -> str:

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import math
 
-from pointmr_engine.scene.settings import FILTERS, METHODS, PASSES, ForwardSettings, RenderSettings
+from pointmr_engine.scene.settings import (
+    FILTERS,
+    METHODS,
+    PASSES,
+    ForwardSettings,
+    RaytraceSettings,
+    RenderSettings,
+)
 
 from .. import preferences
 
@@ -45,6 +52,7 @@ def render_settings(scene, view_layer=None, *, report=None) -> RenderSettings:
         )
         settings.seed = animated_seed(own, scene)
         settings.forward = forward_settings(own)
+        settings.raytrace = raytrace_settings(own)
     layer = view_layer if view_layer is not None else scene.view_layers[0]
     if getattr(layer, "samples", 0) > 0:
         settings.samples = layer.samples
@@ -64,6 +72,16 @@ def forward_settings(own) -> ForwardSettings:
     values |= {name: getattr(own, f"forward_{name}").lower() for name in FORWARD_CHOICES}
     folder = preferences.sample_folder() if own.forward_keep_sets else None
     return ForwardSettings(**values, subpixels=int(own.forward_subpixels), cache_folder=folder)
+
+
+def raytrace_settings(own) -> RaytraceSettings:
+    """Multi-resolution raytracing's part of the settings, of scene.pointmr."""
+    return RaytraceSettings(
+        cones=int(own.raytrace_cones),
+        footprint=own.raytrace_footprint,
+        secondary=own.raytrace_secondary.lower(),
+        cache_folder=preferences.sample_folder() if own.raytrace_keep_sets else None,
+    )
 
 
 def known(value: str, choices: tuple[str, ...], default: str, what: str, report) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from bpy.types import Panel
 
-from . import forward
+from . import forward, raytrace
 from .common import PointMRPanel, split_layout
 
 
@@ -21,7 +21,12 @@ class POINTMR_RENDER_PT_sampling_viewport(PointMRPanel, Panel):
     bl_parent_id = "POINTMR_RENDER_PT_sampling"
 
     def draw(self, context):
-        split_layout(self).prop(context.scene.pointmr, "preview_samples", text="Samples")
+        settings = context.scene.pointmr
+        layout = split_layout(self)
+        if settings.method == "RAYTRACE":
+            layout.row().prop(settings, "raytrace_preview_cones", text="Cones per Pixel", expand=True)
+        else:
+            layout.prop(settings, "preview_samples", text="Samples")
 
 
 class POINTMR_RENDER_PT_sampling_render(PointMRPanel, Panel):
@@ -32,7 +37,9 @@ class POINTMR_RENDER_PT_sampling_render(PointMRPanel, Panel):
         settings = context.scene.pointmr
         layout = split_layout(self)
         layout.active = settings.method != "CONVENTIONAL"
-        if settings.method == "FORWARD":
+        if settings.method == "RAYTRACE":
+            layout.row().prop(settings, "raytrace_cones", text="Cones per Pixel", expand=True)
+        elif settings.method == "FORWARD":
             layout.prop(settings, "forward_samples_per_pixel", text="Samples per Pixel")
         else:
             layout.prop(settings, "samples", text="Samples")
@@ -198,6 +205,7 @@ classes = (
     POINTMR_RENDER_PT_sampling_viewport,
     POINTMR_RENDER_PT_sampling_render,
     POINTMR_RENDER_PT_sampling_advanced,
+    *raytrace.classes,
     *forward.classes,
     POINTMR_RENDER_PT_light_paths,
     POINTMR_RENDER_PT_light_paths_max_bounces,

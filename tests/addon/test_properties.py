@@ -15,7 +15,7 @@ import pytest
 
 import blender_addon
 from blender_addon import kernel_cache
-from pointmr_engine import ForwardSettings
+from pointmr_engine import ForwardSettings, RaytraceSettings
 
 ADDON = Path(blender_addon.__file__).parent
 
@@ -43,7 +43,11 @@ def numbers(name: str) -> dict[str, int]:
 
 def test_enum_items_have_fixed_numbers():
     """Files store the number: these never change."""
-    assert numbers("method") == {"FORWARD": 1, "CONVENTIONAL": 2, "DISTRIBUTED": 3}
+    assert numbers("method") == {"RAYTRACE": 0, "FORWARD": 1, "CONVENTIONAL": 2, "DISTRIBUTED": 3}
+    assert (
+        numbers("raytrace_cones") == numbers("raytrace_preview_cones") == {"1": 1, "4": 4, "16": 16, "64": 64}
+    )
+    assert numbers("raytrace_secondary") == {"CONES": 0, "RAYS": 1}
     assert numbers("pixel_filter_type") == {"BOX": 0, "GAUSSIAN": 1, "BLACKMAN_HARRIS": 2}
     assert numbers("forward_sampling") == {"STATIC": 0, "DYNAMIC": 1}
     assert numbers("forward_draws") == {"RANDOM": 0, "STRATIFIED": 1, "POISSON": 2}
@@ -75,6 +79,7 @@ def test_settings_survive_a_file(tmp_path):
     [
         ("method", "CONVENTIONAL", "method", "conventional"),
         ("method", "FORWARD", "method", "forward"),
+        ("method", "RAYTRACE", "method", "raytrace"),
         ("samples", 37, "samples", 37),
         ("seed", 5, "seed", 5),
         ("pixel_filter_type", "GAUSSIAN", "pixel_filter", "gaussian"),
@@ -127,14 +132,28 @@ def test_every_property_of_forward_mapping_reaches_the_engine(name, value, expec
     assert dataclasses.astuple(others) == pytest.approx(dataclasses.astuple(ForwardSettings()))
 
 
-def test_the_ends_of_every_range_are_accepted_by_the_engine():
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [("cones", "16", 16), ("footprint", 0.5, 0.5), ("secondary", "RAYS", "rays")],
+)
+def test_every_property_of_raytracing_reaches_the_engine(name, value, expected):
+    from blender_addon import sync
+
+    scene = bpy.context.scene
+    setattr(scene.pointmr, f"raytrace_{name}", value)
+    raytrace = sync.settings_from_blender(scene).raytrace
+    assert raytrace == RaytraceSettings(**{name: expected})
+
+
+@pytest.mark.parametrize("method", ["FORWARD", "RAYTRACE"])
+def test_the_ends_of_every_range_are_accepted_by_the_engine(method):
     from blender_addon import sync
 
     scene = bpy.context.scene
     own = scene.pointmr
-    own.method = "FORWARD"
+    own.method = method
     for name, rna in own.bl_rna.properties.items():
-        if name.startswith("forward_"):
+        if name.startswith(f"{method.lower()}_"):
             if rna.type == "ENUM":
                 values = [item.identifier for item in rna.enum_items]
             else:
@@ -144,17 +163,22 @@ def test_the_ends_of_every_range_are_accepted_by_the_engine():
                 sync.settings_from_blender(scene).validate()
 
 
-def test_sample_sets_are_kept_where_preferences_say(monkeypatch, tmp_path):
+@pytest.mark.parametrize("method", ["forward", "raytrace"])
+def test_sample_sets_are_kept_where_preferences_say(monkeypatch, tmp_path, method):
     from blender_addon import preferences, sync
 
     scene = bpy.context.scene
-    assert sync.settings_from_blender(scene).forward.cache_folder is None
-    scene.pointmr.forward_keep_sets = True
+
+    def folder():
+        return getattr(sync.settings_from_blender(scene), method).cache_folder
+
+    assert folder() is None
+    setattr(scene.pointmr, f"{method}_keep_sets", True)
     monkeypatch.setattr(kernel_cache, "user_cache_folder", lambda: tmp_path)
-    assert sync.settings_from_blender(scene).forward.cache_folder == str(tmp_path / "pointmr" / "samples")
+    assert folder() == str(tmp_path / "pointmr" / "samples")
     chosen = SimpleNamespace(sample_folder=str(tmp_path / "chosen"))
     monkeypatch.setattr(preferences, "_found", lambda: chosen)
-    assert sync.settings_from_blender(scene).forward.cache_folder == str(tmp_path / "chosen")
+    assert folder() == str(tmp_path / "chosen")
 
 
 def test_only_kernels_of_old_versions_are_cleared_away(monkeypatch, tmp_path):
@@ -174,12 +198,13 @@ def test_only_kernels_of_old_versions_are_cleared_away(monkeypatch, tmp_path):
 
 
 def test_panels_follow_the_method():
-    """Forward mapping's panels show for it alone; those of rays do not."""
-    from blender_addon.ui import forward, render
+    """Forward mapping's panels show for it alone, raytracing's for it alone; those of rays for all but the former."""
+    from blender_addon.ui import forward, raytrace, render
 
     context, own = bpy.context, bpy.context.scene.pointmr
-    for method in ("CONVENTIONAL", "DISTRIBUTED", "FORWARD"):
+    for method in ("CONVENTIONAL", "DISTRIBUTED", "FORWARD", "RAYTRACE"):
         own.method = method
+        assert all(panel.poll(context) == (method == "RAYTRACE") for panel in raytrace.classes)
         assert all(panel.poll(context) == (method == "FORWARD") for panel in forward.classes)
         assert render.POINTMR_RENDER_PT_light_paths.poll(context) == (method != "FORWARD")
 
@@ -225,6 +250,22 @@ def test_panels_show_what_matters_for_the_choice():
     assert static | dynamic == every
     own.forward_reconstruction = "PIXEL"
     assert "forward_subpixels" not in all_shown()
+
+
+def test_panels_of_raytracing_show_its_settings_and_no_samples():
+    from blender_addon.ui import raytrace, render
+
+    own = bpy.context.scene.pointmr
+    panels = [
+        *raytrace.classes,
+        render.POINTMR_RENDER_PT_sampling_render,
+        render.POINTMR_RENDER_PT_sampling_viewport,
+    ]
+    every = {name for name in own.bl_rna.properties.keys() if name.startswith("raytrace_")}
+    own.method = "RAYTRACE"
+    assert {name for panel in panels for name in drawn(panel)} == every
+    own.method = "DISTRIBUTED"
+    assert {name for panel in panels[1:] for name in drawn(panel)} == {"samples", "preview_samples"}
 
 
 def test_animated_seed_changes_with_the_frame():

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pointmr_engine import ForwardSettings, RenderSettings, SceneError
+from pointmr_engine import ForwardSettings, RaytraceSettings, RenderSettings, SceneError
 
 
 @pytest.mark.parametrize(
@@ -35,6 +35,25 @@ def test_forward_settings(name, good, bad):
             RenderSettings(method="forward", forward=ForwardSettings(**{name: value})).validate()
 
 
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [
+        ("cones", [1, 4, 16, 64], [0, 2, 32, 256, -1, "4", None]),
+        ("footprint", [0.25, 1.0, 4.0], [0.0, 0.249, 4.01, -1.0, math.nan, math.inf]),
+        ("secondary", ["cones", "rays"], ["", "Cones", "ray", None]),
+        ("cache_folder", [None, "sets"], ["", 3]),
+    ],
+)
+def test_raytrace_settings(name, good, bad):
+    for value in good:
+        RenderSettings(method="raytrace", raytrace=RaytraceSettings(**{name: value})).validate()
+    for value in bad:
+        with pytest.raises(SceneError, match=f"raytrace.{name} "):
+            RenderSettings(method="raytrace", raytrace=RaytraceSettings(**{name: value})).validate()
+
+
 def test_settings_do_not_share_their_parts():
     RenderSettings().forward.samples_per_pixel = 4.0
     assert RenderSettings().forward.samples_per_pixel == 1.0
+    RenderSettings().raytrace.cones = 4
+    assert RenderSettings().raytrace.cones == 1

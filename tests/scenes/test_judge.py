@@ -72,12 +72,16 @@ def test_srgb_as_blender_shows_it():
 
 
 def test_methods_are_read_from_words():
-    assert parse_methods(["distributed:4,16", "cycles:8", "conventional"]) == [
+    assert parse_methods(["distributed:4,16", "cycles:8", "conventional", "raytrace:1,16"]) == [
         Method("distributed", 4),
         Method("distributed", 16),
         Method("cycles", 8),
         Method("conventional", 1),
+        Method("raytrace", 1),
+        Method("raytrace", 16),
     ]
+    with pytest.raises(ValueError, match="raytrace:3.*1, 4, 16, 64"):
+        parse_methods(["raytrace:4,3"])
     with pytest.raises(ValueError, match="eevee"):
         parse_methods(["eevee:4"])
 
