@@ -19,6 +19,8 @@ from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.warm import Helper, describe
 
 TILE_SIZES = (64, 32, 16)
+SPLATTED = ("raytrace", "forward")  # methods that draw samples ...
+WALKED = ("raytrace", "conventional", "distributed")  # ... and those that walk rays
 
 
 class Cancelled(Exception):
@@ -93,9 +95,8 @@ def render(
     clock = _Clock(progress)
     if settings.method == "conventional":
         settings = replace(settings, samples=1)
-    filtered = settings.method in ("conventional", "forward")  # else the pixel's many rays do it
-    forward = settings.method == "forward"
-    kind = (filtered, forward)
+    filtered = settings.method != "distributed"  # there the pixel's many rays do it
+    kind = (filtered, settings.method in SPLATTED, settings.method in WALKED)
     compiled = cache.find(scene, kind) if cache is not None and scene.camera is not None else None
     helper = Helper()
     try:
@@ -103,7 +104,7 @@ def render(
             compiled = _compile(scene, filtered, settings, clock, helper)
             if cache is not None:
                 cache.keep(scene, kind, compiled)
-        if forward:
+        if settings.method in SPLATTED:
             frame, counters, needs = _splat(scene, compiled, settings, clock)
         else:
             stage = _prepare(scene, compiled, settings, clock)
@@ -159,8 +160,8 @@ def _compile(
     clock.phase("checking the scene")
     warnings = scene.validate()
     clock.phase("loading kernels")
-    forward = settings.method == "forward"
-    if settings.threads != 1 and not forward:
+    splatted, walked = settings.method in SPLATTED, settings.method in WALKED
+    if settings.threads != 1 and walked:
         helper.start()
     from pointmr_engine.hierarchy.geometry import compile_geometry
 
@@ -172,37 +173,42 @@ def _compile(
         program = compile_graph((material or plain).graph, filtered=filtered)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
-    if forward:
+    acceleration = lights = sampler = None
+    if walked:
+        helper.begin(describe(scene, programs, settings))
+    clock.phase("building hierarchies")
+    if splatted:
         from pointmr_engine.forward.method import Sampler
 
-        clock.phase("building hierarchies")
         sampler = Sampler(scene, geometry, programs, clock.tell)
-        warnings += geometry.warnings + sampler.environment.warnings
-        return Compiled(geometry, programs, None, None, sampler, warnings)
-    from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
-    from pointmr_engine.raytracing.lights import build_lights
+        warnings += sampler.environment.warnings
+    if walked:
+        from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
+        from pointmr_engine.raytracing.lights import build_lights
 
-    helper.begin(describe(scene, programs, settings))
-    clock.phase("building hierarchies")
-    acceleration = build_acceleration(geometry, progress=clock.tell)
-    acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
-    clock.phase("gathering lights")
-    lights = build_lights(scene, geometry, programs)
-    return Compiled(
-        geometry, programs, acceleration, lights, None, warnings + geometry.warnings + lights.warnings
-    )
+        acceleration = build_acceleration(geometry, progress=clock.tell)
+        acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
+        clock.phase("gathering lights")
+        lights = build_lights(scene, geometry, programs)
+        warnings += lights.warnings
+    return Compiled(geometry, programs, acceleration, lights, sampler, warnings + geometry.warnings)
 
 
 def _splat(
     scene: Scene, compiled: Compiled, settings: RenderSettings, clock: _Clock
 ) -> tuple[Frame, Counter, dict]:
-    """Method forward: the frame, counters, and what was needed."""
+    """Methods forward and raytrace: the frame, counters, and what was needed."""
     from pointmr_engine.forward.method import Image, render_image
     from pointmr_engine.image.film import Film
     from pointmr_engine.raytracing.camera import compile_camera
 
-    camera = compile_camera(scene.camera, settings)
-    image = Image(compiled.sampler, scene, camera, settings)
+    if settings.method == "raytrace":
+        from pointmr_engine.multires.method import FRAGMENTS, TracedImage
+
+        stage = _prepare(scene, compiled, replace(settings, passes=("combined",), samples=FRAGMENTS), clock)
+        image = TracedImage(compiled.sampler, scene, stage, settings)
+    else:
+        image = Image(compiled.sampler, scene, compile_camera(scene.camera, settings), settings)
     frame = Film(settings).frame
     clock.phase("rendering")
     counters = render_image(

@@ -117,8 +117,9 @@ class Image:
         self.pixel = self.subpixels / (self.view.scale_x * self.view.scale_y) ** 0.5
         self.scene_lights = [*scene.lights, *sampler.world_light.suns, *sampler.emissive_lamps]
         self.lamps = compile_lamps(self.scene_lights)[0]
-        self.shading = _shading(self)
         self.shadows = options.shadows and bool(self.lamps.cast_shadow.any())
+        self.shading = self.choose_shading()
+        self.tile = TILE
         self.drawn, self.space_of = (
             None,
             Workspace,
@@ -126,6 +127,14 @@ class Image:
         self.region = settings.region or (0, 0, settings.width, settings.height)
         index = [0 if m is None else m.pass_index for m in sampler.geometry.materials]
         self.material_index = np.array(index, np.float32)
+
+    def choose_shading(self):
+        """What lights the image's fragments: an object with shade(workspace, hierarchy, number of fragments)."""
+        if self.settings.forward.shading == "simple":
+            return SimpleShading(self)
+        from pointmr_engine.forward.materials import FullShading
+
+        return FullShading(self)
 
     def build(self, nodes: np.ndarray, tell) -> None:
         """Build the sample sets that `nodes` wait for."""
@@ -138,6 +147,7 @@ class Image:
         """What buffers must have been made for to serve this image."""
         options = self.settings.forward
         return (
+            type(self).__name__,
             options.sampling,
             options.reconstruction == "analytic",
             self.subpixels,
@@ -185,15 +195,6 @@ class Image:
         )
 
 
-def _shading(image: Image):
-    """What lights the image's fragments: an object with shade(workspace, hierarchy, number of fragments)."""
-    if image.settings.forward.shading == "simple":
-        return SimpleShading(image)
-    from pointmr_engine.forward.materials import FullShading
-
-    return FullShading(image)
-
-
 def _depth_range(camera_from_world: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[float, float]:
     """Smallest and largest depth along the view axis of a box in world space."""
     if not np.isfinite(lower).all():
@@ -217,10 +218,11 @@ def render_image(
     """
     x0, y0, x1, y1 = image.region
     # tiles begin at multiples of their size in the whole image, whatever region of it is rendered
+    side = image.tile
     tiles = [
-        (max(x, x0), max(y, y0), min(x + TILE, x1), min(y + TILE, y1))
-        for y in range(y0 // TILE * TILE, y1, TILE)
-        for x in range(x0 // TILE * TILE, x1, TILE)
+        (max(x, x0), max(y, y0), min(x + side, x1), min(y + side, y1))
+        for y in range(y0 // side * side, y1, side)
+        for x in range(x0 // side * side, x1, side)
     ]
     total, done = len(tiles), 0
     image.prepare(lambda: tell(0.0, None))

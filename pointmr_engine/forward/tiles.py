@@ -31,7 +31,7 @@ class Workspace:
     """
 
     def __init__(self, image):
-        side = (TILE + 2 * image.apron) * image.subpixels
+        side = (image.tile + 2 * image.apron) * image.subpixels
         self.target = allocate_target(side, side)
         self.scratch = Scratch(self.target)
         self.fragments = allocate_fragments(side * side)  # at most; untouched pages cost nothing
@@ -39,12 +39,12 @@ class Workspace:
         self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
         self.placed = allocate_placement_values(0)
         self.light = np.empty((side * side, 3), np.float32)
-        self.sums = np.empty((TILE, 4 * side), np.float32)
+        self.sums = np.empty((image.tile, 4 * side), np.float32)
         self.empty = np.zeros((side // image.subpixels + 1,) * 2, np.uint8)
         self.normals = np.empty((1 << 12, 9))
         self.line = np.empty((side, 4), np.float32)
         self.corners = np.empty((3, 3))
-        self.background = np.zeros((TILE + 2 * image.apron, TILE + 2 * image.apron, 4), np.float32)
+        self.background = np.zeros((image.tile + 2 * image.apron,) * 2 + (4,), np.float32)
         self.begin(image)
 
     def begin(self, image) -> None:

@@ -103,11 +103,16 @@ class Workspace:
     def _bounce(self, tile, now, then, n: int, bounce: int) -> int:
         """Move n paths from surface to surface; returns how many go on, in `then`."""
         stage, hits, surface = self.stage, self.hits, self.frames
-        rays, state = Rays(*(a[:n] for a in now.rays)), now.state
         walk.intersect(stage.acceleration, now.rays, hits, 0, n)
         if bounce:
             self.counters["scattered_rays"] += n
         frames(stage.shader.geometry, now.rays, hits, surface, 0, n)
+        return self.meet(tile, now, then, n, bounce)
+
+    def meet(self, tile, now, then, n: int, bounce: int) -> int:
+        """Shade what n paths have hit, `hits` and `frames`, and send them on; returns how many go on, in `then`."""
+        stage, hits, surface = self.stage, self.hits, self.frames
+        rays, state = Rays(*(a[:n] for a in now.rays)), now.state
         alive = hits.triangle[:n] >= 0
         self._met_lights(now, rays, n, alive, bounce)
         if bounce and stage.needs.surface_passes:
@@ -120,6 +125,7 @@ class Workspace:
             state.window[:n] = window_coordinates(stage.camera, surface.position[:n])
         fill_view(now.rays, state.kind, surface, self.view, n)
         stage.shader.lobes_at(now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes)
+        self.shaded(now, n, bounce)
         self.counters["shaded_points"] += int(alive.sum())
         if self.lobes.holdout[:n].any() or (alive & hits.holdout[:n]).any():
             self.hold_out(now, n, alive)
@@ -133,6 +139,9 @@ class Workspace:
             self._direct_light(now, n, alive, bounce)
         self.scatter(now, n, alive, bounce)
         return self.move(now, then, n, alive)
+
+    def shaded(self, now, n: int, bounce: int) -> None:
+        """The lobes of n paths are filled: a place for methods that know more of the surfaces than a ray does."""
 
     # Stages of their own: a second process compiles them by calling them for no paths at all.
 

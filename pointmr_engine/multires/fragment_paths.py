@@ -1,0 +1,146 @@
+"""Paths that begin at a tile's fragments: what the primary cones see goes on as random rays, stratified in each pixel.
+
+The surfaces are those of the fragments, with their footprints and distributions of normals; from there the integrator
+of raytracing/ carries the light: shadow rays, reflections, refractions and the bounces behind them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
+from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
+from pointmr_engine.forward.lobe_light import widen_by_normals
+from pointmr_engine.image.film import TileSums
+from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.rng import pixel_seed
+from pointmr_engine.raytracing import paths
+from pointmr_engine.raytracing.integrator import Stage, Workspace
+from pointmr_engine.raytracing.surface import frames
+
+BATCH = 16384  # fragments at once
+LIFT = 0.5  # footprints: how far rays start above a surfel ...
+CLUMP = 0.5  # flatness below which a piece has no normal of its own
+SKIP = 1.0  # ... and how far they go before they may hit something: the piece is not flat
+
+
+@uncounted
+def number_samples(fragments, left, low, subpixels, first, count, samples, seed, used):
+    """Pixels of fragments first..first + count, and their numbers in them, as samples 0..count.
+
+    used (rows, columns) int32: fragments so far in the tile's pixels; left, low: the tile's first subpixel.
+    """
+    for k in range(count):
+        f = first + k
+        i, j = np.int64(fragments.x[f]) // subpixels, np.int64(fragments.y[f]) // subpixels
+        i, j = min(max(i, 0), used.shape[1] - 1), min(max(j, 0), used.shape[0] - 1)
+        x, y = left // subpixels + i, low // subpixels + j
+        samples.x[k] = x
+        samples.y[k] = y
+        samples.number[k] = used[j, i]
+        samples.seed[k] = pixel_seed(np.int64(x), np.int64(y), np.int64(seed))
+        used[j, i] += 1
+
+
+@uncounted
+def start_rays(rays, hits, frame, count):
+    """Origins of the camera rays that would meet the hits 0..count."""
+    for k in range(count):
+        for a in range(3):
+            rays.origin[k, a] = frame.position[k, a] - hits.t[k] * rays.direction[k, a]
+        rays.t_min[k] = 0.0
+        rays.t_max[k] = math.inf
+        rays.skip_triangle[k] = -1
+        rays.skip_path[k] = 0
+
+
+@uncounted
+def lift_surfels(surfel, entry, first, count, width, rays, frame):
+    """Raise the starts of rays from fragments that stand for many triangles above them, on the viewer's side."""
+    for k in range(count):
+        if surfel[entry[first + k]] < 0:
+            continue
+        side = LIFT * width[k]
+        if frame.backfacing[k]:
+            side = -side
+        for a in range(3):
+            frame.position[k, a] += side * frame.geometric_normal[k, a]
+        frame.offset[k] = max(frame.offset[k], SKIP * width[k])
+
+
+@uncounted
+def close_transparency(lobes, throughput, count):
+    """Take the transparency of points 0..count out: areas and cut-outs account for it."""
+    for k in range(count):
+        t = 0.0
+        for c in range(3):
+            t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
+            lobes.transparency[k, c] = 0.0
+        scale = 1.0 / (1.0 - min(t, 0.999))
+        for c in range(3):
+            throughput[k, c] *= scale
+
+
+class FragmentPaths(Workspace):
+    """One thread's paths from fragments. settings.samples of the stage says how much of a lobe one ray stands for."""
+
+    def __init__(self, stage: Stage, window: bool):
+        super().__init__(stage, BATCH)
+        n = BATCH
+        self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
+        self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
+        none = np.zeros((0, 3))
+        self.tile = TileSums(
+            none, none, none, none, *(np.zeros(0),) * 5, np.zeros(4, np.int64), np.zeros(1, np.int64)
+        )
+
+    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
+        """Radiance of fragments first..first + count of a tile to space.light; see forward.tiles.Workspace."""
+        image, f = space.image, space.fragments
+        now, then = self.queues
+        samples, hits, first_, n_ = self.samples, self.hits, np.int64(first), np.int64(count)
+        paths.start_paths(now, count)
+        samples.radiance[:count] = 0.0
+        samples.transparency[:count] = 0.0
+        number_samples(
+            f, np.int64(space.left), np.int64(space.low), np.int64(image.subpixels), first_, n_, samples,
+            np.int64(image.settings.seed), space.used,
+        )  # fmt: skip
+        if len(hierarchy.cut_outs.mask):
+            move_to_opaque(hierarchy.cut_outs, f, first_, n_)
+        to_world = image.camera.world_from_camera
+        place_fragments(
+            image.view, image.footprint, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f,
+            first_, n_, now.rays, hits, now.state.width,
+        )  # fmt: skip
+        if len(hierarchy.cut_outs.mask):
+            narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width)
+        place_values(values, f, first_, n_, hits)
+        frame = self.frames
+        frames(self.stage.shader.geometry, now.rays, hits, frame, 0, count)
+        own = [a[:count].copy() for a in (frame.smooth_normal, frame.geometric_normal, frame.backfacing)]
+        entries = space.scratch.entries
+        surfel_frames(to_world, entries, f, first_, n_, now.rays, frame, self.flat, self.spread)
+        # a clump faces all ways: the triangle that represents it stands for one of them
+        clump = np.flatnonzero(self.flat[:count] < CLUMP)
+        for target, normals in zip(
+            (frame.smooth_normal, frame.geometric_normal, frame.backfacing), own, strict=True
+        ):
+            target[clump] = normals[clump]
+        self.spread[clump] = 0.0
+        start_rays(now.rays, hits, self.frames, n_)
+        now.state.spread[:count] = 0.0
+        lift_surfels(entries.surfel, f.entry, first_, n_, now.state.width, now.rays, self.frames)
+        n, bounce = self.meet(self.tile, now, then, count, 0), 0
+        while n:
+            now, then = then, now
+            bounce += 1
+            n = self._bounce(self.tile, now, then, n, bounce)
+        np.copyto(space.light[first : first + count], samples.radiance[:count], casting="same_kind")
+
+    def shaded(self, now, n: int, bounce: int) -> None:
+        if bounce == 0:
+            widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
+            close_transparency(self.lobes, now.throughput, np.int64(n))

@@ -1,0 +1,88 @@
+"""Multi-resolution raytracing as a method: primary cones walk the hierarchy together, tile by tile; what they see is
+merged into surfaces, and each of those sends its own cones on.
+
+The primary cones of a tile resolve visibility per subpixel, 8 x 8 of them in a cone, from samples half a footprint
+apart (forward/walk.py): the hierarchy is walked once for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from pointmr_engine.forward.method import Image
+from pointmr_engine.forward.tiles import TILE, Workspace
+from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
+from pointmr_engine.multires.merge import merge_fragments
+from pointmr_engine.raytracing.integrator import Stage
+from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
+
+SUBPIXELS = 8  # per side of a cone
+DENSITY = 4.0  # samples per cone's footprint
+FRAGMENTS = 4  # of a cone, about: what one ray of a fragment's lobes stands for
+
+
+def primary_settings(settings: RenderSettings) -> RenderSettings:
+    """The same settings with the forward mapping of the primary cones."""
+    chosen = settings.raytrace
+    side = math.isqrt(chosen.cones)
+    forward = ForwardSettings(
+        subpixels=SUBPIXELS * side,
+        samples_per_pixel=DENSITY * chosen.cones / chosen.footprint**2,
+        shadows=False,
+        cache_folder=chosen.cache_folder,
+    )
+    return replace(settings, forward=forward)
+
+
+class TracedImage(Image):
+    """One image of method "raytrace": everything that its tiles share."""
+
+    def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
+        self.stage = stage
+        super().__init__(sampler, scene, stage.camera, primary_settings(settings))
+        side = math.isqrt(settings.raytrace.cones)
+        self.footprint = self.pixel / side  # of a cone
+        self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
+        self.space_of = TracedTiles
+
+    def choose_shading(self):
+        return TracedShading(self)
+
+
+class TracedShading:
+    """Light of fragments by paths that go on from them. Threads may share it."""
+
+    def __init__(self, image: TracedImage):
+        self.image = image
+        self.window = image.stage.needs.window
+
+    def shade(self, space: TracedTiles, hierarchy, count: int) -> None:
+        """Fill space.light[:count]; see forward.materials.FullShading."""
+        if space.shading is None:
+            space.shading = FragmentPaths(self.image.stage, self.window)
+        values = space.placement_values(hierarchy)
+        space.used[:] = 0
+        for first in range(0, count, BATCH):
+            space.shading.trace(space, hierarchy, values, first, min(BATCH, count - first))
+
+
+class TracedTiles(Workspace):
+    """One thread's buffers for tiles."""
+
+    def __init__(self, image: TracedImage):
+        super().__init__(image)
+        n = len(self.fragments.entry)
+        self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
+        side = len(self.target.ids) // image.subpixels
+        self.used = np.zeros((side, side), np.int32)
+
+    def _fragments(self, hierarchy) -> int:
+        count = super()._fragments(hierarchy)
+        image = self.image
+        return merge_fragments(
+            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(image.subpixels),
+            image.view.perspective, np.float64(image.pixel), self.fragments, np.int64(count), self.into, self.largest,
+        )  # fmt: skip
