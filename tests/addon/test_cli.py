@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from blender_addon import batch
-from blender_addon.cli import FORWARD, build_parser, main
+from blender_addon.cli import FORWARD, RAYTRACE, build_parser, main
 from blender_addon.headless import output_path
-from pointmr_engine import ForwardSettings, Frame
+from pointmr_engine import ForwardSettings, Frame, RaytraceSettings
 from pointmr_engine.image import exr
 
 bpy = pytest.importorskip("bpy")
@@ -151,16 +151,58 @@ def test_render_writes_what_it_says(blend, tmp_path, capfd):
     assert not (blend.parent / "script ran").exists()
 
 
-def test_options_of_forward_mapping_reach_the_engine(blend, tmp_path, monkeypatch):
-    """Every property has its option, and what is typed is what the engine is asked for."""
+@pytest.fixture
+def asked(monkeypatch) -> list:
+    """The settings of every render since, which the engine does not do: images are white."""
     asked = []
 
     def render(scene, settings, progress=None, **_):
         asked.append(settings)
         pixels = np.ones((settings.height, settings.width, 4), np.float32)
-        return Frame(settings.width, settings.height, {"combined": pixels}, {"counters": {"points": 12345}})
+        stats = {
+            "counters": {"points": 12345},
+            "needs": {
+                "shadows": np.bool_(True),
+                "reflections": False,
+                "sets": 3,
+                "lens": 0,
+                "passes": ("depth",),
+            },
+        }
+        return Frame(settings.width, settings.height, {"combined": pixels}, stats)
 
     monkeypatch.setattr(importlib.import_module("pointmr_engine.render"), "render", render)
+    return asked
+
+
+def test_options_of_raytracing_reach_the_engine(blend, tmp_path, asked, capfd):
+    """Every property but the viewport's has its option; the summary says what was asked for and what was needed."""
+    start = ["render", str(blend), "-o", str(tmp_path / "a.exr"), "--size", "24x16", "--method", "raytrace"]
+    stats = tmp_path / "stats.json"
+    typed = ["--cones", "16", "--footprint", "0.5", "--secondary", "rays", "--keep-sets"]
+    assert main([*start, *typed, "--stats", str(stats)]) == 0
+    out, _ = capfd.readouterr()
+    assert asked[0].method == "raytrace" and asked[0].raytrace.cache_folder
+    assert replace(asked[0].raytrace, cache_folder=None) == RaytraceSettings(16, 0.5, "rays")
+    assert "24x16, raytrace, 16 cones per pixel, footprint 0.5, secondary rays" in out
+    assert "  needed: shadows, sets 3, passes (depth)\n  not needed: reflections, lens\n" in out
+    [frame] = json.loads(stats.read_text())["frames"]
+    assert frame["stats"]["needs"] == {
+        "shadows": True,
+        "reflections": False,
+        "sets": 3,
+        "lens": 0,
+        "passes": ["depth"],
+    }
+    names = {n for n in bpy.context.scene.pointmr.bl_rna.properties.keys() if n.startswith("raytrace_")}
+    assert names - set(RAYTRACE) == {"raytrace_preview_cones"}
+    assert main(start) == 0
+    assert asked[1].raytrace == RaytraceSettings()
+    assert "24x16, raytrace, 1 cone per pixel\n" in capfd.readouterr()[0]
+
+
+def test_options_of_forward_mapping_reach_the_engine(blend, tmp_path, asked):
+    """Every property has its option, and what is typed is what the engine is asked for."""
     typed = [
         "--forward-sampling",
         "dynamic",
@@ -214,6 +256,18 @@ def test_a_batchs_processes_get_all_options(blend, tmp_path, monkeypatch):
         "forward_sampling": "dynamic",
         "forward_shadows": False,
         "forward_backface_culling": True,
+    }
+    commands.clear()
+    typed = ["--cones", "4", "--footprint", "2", "--secondary", "rays", "--no-keep-sets"]
+    start[start.index("forward")] = "raytrace"
+    assert main([*start, *typed, "--jobs", "2"]) == 0
+    worker = build_parser().parse_args(commands[0][commands[0].index("render") :])
+    given = {name: value for name, value in vars(worker).items() if "raytrace_" in name}
+    assert worker.method == "raytrace" and given == {
+        "raytrace_cones": "4",
+        "raytrace_footprint": "2",
+        "raytrace_secondary": "rays",
+        "raytrace_keep_sets": False,
     }
 
 
@@ -304,8 +358,35 @@ def test_processes_render_the_same_images(blend, tmp_path):
         (
             ["render", "BLEND", "--method", "magic"],
             2,
-            "no method 'magic'; there are: conventional, distributed",
+            "no method 'magic'; there are: raytrace, conventional, distributed",
         ),
+        (
+            ["render", "BLEND", "--method", "raytrace", "--cones", "3"],
+            2,
+            "no cones '3'; there are: 1, 4, 16, 64",
+        ),
+        (
+            ["render", "BLEND", "--method", "raytrace", "--footprint", "5"],
+            2,
+            "--footprint: 5 is outside 0.25 to 4",
+        ),
+        (["render", "BLEND", "--method", "raytrace", "--footprint", "nan"], 2, "--footprint: nan is outside"),
+        (
+            ["render", "BLEND", "--method", "raytrace", "--footprint", "x"],
+            2,
+            "--footprint: 'x' is not a number",
+        ),
+        (
+            ["render", "BLEND", "--method", "raytrace", "--secondary", "beams"],
+            2,
+            "no secondary 'beams'; there are: cones, rays",
+        ),
+        (
+            ["render", "BLEND", "--method", "forward", "--cones", "4"],
+            2,
+            "--cones is of method raytrace, not forward",
+        ),
+        (["render", "BLEND", "--method", "raytrace", "--samples", "64"], 2, "which takes --cones"),
         (["render", "BLIND"], 2, "has no camera; choose one with --camera: Left, Right"),
         (["render", "BLEND", "-o", "TMP/file/a.exr"], 3, "file/a.exr"),
         (["render", "BLEND", "--stats", "TMP/file/a.json"], 3, "file/a.json"),

@@ -21,7 +21,7 @@ from pointmr_engine.scene.camera import Camera
 from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.group import Group
 from pointmr_engine.scene.scene import Scene
-from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
+from pointmr_engine.scene.settings import ForwardSettings, RaytraceSettings, RenderSettings
 
 WIDTH, HEIGHT = 64, 48
 
@@ -331,6 +331,47 @@ def test_viewport_does_not_average_what_does_not_change(fake_render):
         wait_for(lambda r=refiner: r.picture is not None and r.text == "")
         refiner.close()
         assert [c.forward.samples_per_pixel for c in fake_render.calls] == expected
+
+
+def test_viewport_sketches_then_raytraces(fake_render):
+    """Forward mapping with simple shading first, then one cone a pixel, then ever more; nothing is averaged."""
+    refiner = Refiner()
+    scene = Scene(Group("root"), Camera())
+    asked = RaytraceSettings(cones=16, footprint=0.5, cache_folder="sets")
+    settings = RenderSettings(method="raytrace", raytrace=asked, passes=("combined",))
+    refiner.start(scene, settings, VIEW)
+    wait_for(lambda: refiner.picture is not None and refiner.picture.samples == 16 and refiner.text == "")
+    sketch, *cones = fake_render.calls
+    assert (sketch.method, sketch.width, sketch.forward.shading) == ("forward", 16, "simple")
+    assert sketch.forward.samples_per_pixel < 1 and sketch.forward.cache_folder == "sets"
+    assert [(c.method, c.width, c.raytrace.cones) for c in cones] == [
+        ("raytrace", 31, 1),
+        ("raytrace", 61, 1),
+        ("raytrace", 61, 4),
+        ("raytrace", 61, 16),
+    ]
+    assert {c.raytrace.footprint for c in cones} == {0.5} and settings.raytrace is asked and asked.cones == 16
+    assert refiner.picture.pixels[0, 0, 0] == len(fake_render.calls)
+    # The second view's sketch shows how quick they are: the third one's is finer, and no coarse cones follow it.
+    for number, expected in (
+        (5, [("forward", 25), ("raytrace", 50)]),
+        (10, [("forward", 50), ("raytrace", 100)]),
+    ):
+        refiner.start(scene, settings, VIEW._replace(width=100, height=40 + number))
+        wait_for(lambda n=number: len(fake_render.calls) >= n + 4 and refiner.text == "")
+        assert [(c.method, c.width) for c in fake_render.calls[number : number + 2]] == expected
+    refiner.close()
+
+
+def test_viewport_ends_with_as_many_cones_as_asked_for(fake_render):
+    for cones, expected in ((1, [1, 1]), (4, [1, 1, 4])):
+        fake_render.calls.clear()
+        refiner = Refiner()
+        settings = RenderSettings(method="raytrace", raytrace=RaytraceSettings(cones=cones))
+        refiner.start(Scene(Group("root"), Camera()), settings, VIEW)
+        wait_for(lambda r=refiner: r.picture is not None and r.text == "")
+        refiner.close()
+        assert [c.raytrace.cones for c in fake_render.calls if c.method == "raytrace"] == expected
 
 
 def test_forward_mappings_first_picture_is_as_fine_as_it_was_quick():
