@@ -3,8 +3,9 @@
     python -m benchmarks.first_use [FILE.blend] [--repeat N]
 
 Each case is a process of its own with its own folder for kernels, from the start of Python to the end of a render of
-64 x 48 pixels: of a small scene made here, or of FILE.blend through the `pointmr` command. Beside the wall time stand
-the processor times of the renderer, which is what an idle machine would take, and of the second process.
+64 x 48 pixels by method distributed: of a small scene made here, or of FILE.blend through the `pointmr` command. Beside
+the wall time stand the processor times of the renderer, which is what an idle machine would take, and of the second
+process.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def render_small_scene() -> None:
     ]
     lights = [Light("POINT", lamp, power=300.0, radius=0.3)]
     scene = Scene(Group("root", meshes), Camera(above), lights, uniform_world((0.3, 0.4, 0.5)))
-    render(scene, RenderSettings(*SIZE, samples=4))
+    render(scene, RenderSettings(*SIZE, method="distributed", samples=4))
 
 
 def command(blend: Path | None, alone: bool) -> list[str]:
@@ -65,7 +66,8 @@ def command(blend: Path | None, alone: bool) -> list[str]:
     code += "from blender_addon.cli import main; sys.exit(main(sys.argv[1:]))"
     size = f"{SIZE[0]}x{SIZE[1]}"
     output = str(Path(tempfile.gettempdir()) / "first_use.exr")
-    return [sys.executable, "-c", code, "render", str(blend), "--size", size, "--samples", "1", "-o", output]
+    arguments = ["--size", size, "--method", "distributed", "--samples", "1", "-o", output]
+    return [sys.executable, "-c", code, "render", str(blend), *arguments]
 
 
 def measure(name: str, arguments: list[str], kernels: str) -> None:

@@ -66,7 +66,13 @@ def our_methods(width: int, height: int, kinds: list[str]) -> list[tuple[str, st
         found.append(("conventional", "conventional", RenderSettings(width, height, method="conventional")))
     if "distributed" in kinds:
         for n in RAYS:
-            found.append(("distributed", f"distributed:{n}", RenderSettings(width, height, samples=n)))
+            found.append(
+                (
+                    "distributed",
+                    f"distributed:{n}",
+                    RenderSettings(width, height, method="distributed", samples=n),
+                )
+            )
     return found
 
 
@@ -112,7 +118,9 @@ def truth(name: str, scene: Scene, size, samples: int) -> list[np.ndarray]:
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         halves = [
-            render(scene, RenderSettings(*size, samples=samples // 2, seed=seed)).passes["combined"]
+            render(
+                scene, RenderSettings(*size, method="distributed", samples=samples // 2, seed=seed)
+            ).passes["combined"]
             for seed in HALF_SEEDS
         ]
         beside = path.with_suffix(f".{os.getpid()}.npz")

@@ -35,7 +35,7 @@ def scene():
     render = scene.render
     render.engine = "POINTMR"
     render.resolution_x, render.resolution_y, render.resolution_percentage = WIDTH, HEIGHT, 100
-    scene.pointmr.samples = 4
+    scene.pointmr.method, scene.pointmr.samples = "DISTRIBUTED", 4
     settings = render.image_settings
     if hasattr(settings, "media_type"):
         settings.media_type = "MULTI_LAYER_IMAGE"
@@ -278,7 +278,7 @@ def test_viewport_goes_from_coarse_to_fine_and_averages(fake_render):
     fake_render.seconds = 0.05
     refiner = Refiner()
     scene = Scene(Group("root"), Camera())
-    refiner.start(scene, RenderSettings(samples=5, passes=("combined",)), VIEW)
+    refiner.start(scene, RenderSettings(method="distributed", samples=5, passes=("combined",)), VIEW)
     wait_for(
         lambda: refiner.picture is not None and refiner.picture.scale == 1 and refiner.picture.samples == 5
     )
@@ -400,10 +400,10 @@ def test_viewport_starts_again_on_a_change_and_ends_when_closed(fake_render):
     fake_render.seconds = 60
     refiner = Refiner()
     scene = Scene(Group("root"), Camera())
-    refiner.start(scene, RenderSettings(samples=1), VIEW)
+    refiner.start(scene, RenderSettings(method="distributed", samples=1), VIEW)
     wait_for(lambda: len(fake_render.calls) == 1)
     fake_render.seconds = 0.01
-    refiner.start(scene, RenderSettings(samples=1), VIEW._replace(width=100))
+    refiner.start(scene, RenderSettings(method="distributed", samples=1), VIEW._replace(width=100))
     wait_for(lambda: refiner.picture is not None and refiner.picture.scale == 1)
     assert refiner.picture.pixels.shape == (40, 100, 4)
     refiner.close()
@@ -415,13 +415,17 @@ def test_viewport_does_not_build_anew_for_another_view(fake_render):
     fake_render.seconds, fake_render.phase = 60, "building hierarchies"
     refiner = Refiner()
     scene = Scene(Group("root"), Camera())
-    refiner.start(scene, RenderSettings(samples=1), VIEW)
+    refiner.start(scene, RenderSettings(method="distributed", samples=1), VIEW)
     wait_for(lambda: len(fake_render.calls) == 1)
-    refiner.start(scene, RenderSettings(samples=1), VIEW._replace(width=100))
+    refiner.start(scene, RenderSettings(method="distributed", samples=1), VIEW._replace(width=100))
     time.sleep(0.1)
     assert len(fake_render.calls) == 1
     fake_render.seconds = 0.01
-    refiner.start(Scene(Group("root"), Camera()), RenderSettings(samples=1), VIEW._replace(width=100))
+    refiner.start(
+        Scene(Group("root"), Camera()),
+        RenderSettings(method="distributed", samples=1),
+        VIEW._replace(width=100),
+    )
     wait_for(lambda: refiner.picture is not None and refiner.picture.scale == 1)
     refiner.close()
 
@@ -433,7 +437,7 @@ def test_viewport_keeps_the_error_for_the_user(monkeypatch):
 
     monkeypatch.setattr(engine_module(), "render", fail)
     refiner = Refiner()
-    refiner.start(Scene(Group("root"), Camera()), RenderSettings(samples=1), VIEW)
+    refiner.start(Scene(Group("root"), Camera()), RenderSettings(method="distributed", samples=1), VIEW)
     wait_for(lambda: refiner.error is not None)
     assert "light 'Lamp'" in str(refiner.error)
     refiner.close()

@@ -23,7 +23,7 @@ from pointmr_engine.render import Cancelled
 from pointmr_engine.scene.group import CAMERA
 from tests.engine.small_scenes import at, from_above, lit_floor, quad
 
-TINY = RenderSettings(width=24, height=16, samples=4)
+TINY = RenderSettings(width=24, height=16, method="distributed", samples=4)
 
 
 def combined(scene, **settings):

@@ -53,7 +53,7 @@ def test_a_coarse_ball_is_lit_like_a_fine_one():
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     low[:3, :3] = np.array([[s, 0, -c], [0, 1, 0], [c, 0, s]]).T
     sun = Light("SUN", low, power=3.0)
-    settings = RenderSettings(width=48, height=48, samples=4, max_bounces=0)
+    settings = RenderSettings(width=48, height=48, method="distributed", samples=4, max_bounces=0)
 
     def image(mesh):
         scene = Scene(Group("root", [mesh]), from_above(4.0), [sun], uniform_world((0, 0, 0)))

@@ -33,7 +33,8 @@ class Listener(event.Listener):
 event.register("numba:compile", Listener())
 
 lamp = quad(1.0, 1.0, emission("lamp", strength=3.0), "lamp")
-scene, settings = lit_floor(lamp), RenderSettings(8, 8, samples=4, threads=1, passes=("combined",))
+quick = dict(method="distributed", samples=4, threads=1, passes=("combined",))
+scene, settings = lit_floor(lamp), RenderSettings(8, 8, **quick)
 materials = [m for mesh in scene.root.meshes for m in mesh.materials]
 wanted = warm.describe(scene, [compile_graph(m.graph) for m in materials], settings)
 warm.Helper.start = lambda self, python=None: None
@@ -62,7 +63,7 @@ def test_what_is_compiled_ahead_is_what_the_renderer_calls(tmp_path):
 def test_a_helper_that_cannot_start_is_harmless(python, monkeypatch):
     monkeypatch.setattr(warm, "is_cold", lambda: True)
     monkeypatch.setattr(sys, "executable", python)
-    frame = render(lit_floor(), RenderSettings(4, 4, samples=1))
+    frame = render(lit_floor(), RenderSettings(4, 4, method="distributed", samples=1))
     assert np.isfinite(frame.passes["combined"]).all()
 
 

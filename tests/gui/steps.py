@@ -134,7 +134,7 @@ def small_scene(size: tuple[int, int] = (320, 240), samples: int = 4) -> None:
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     scene.view_settings.view_transform = "Standard"
-    scene.pointmr.samples = samples
+    scene.pointmr.method, scene.pointmr.samples = "DISTRIBUTED", samples
     material = bpy.data.objects["Cube"].active_material
     material.use_nodes = True
     material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.8, 0.05, 0.02, 1)

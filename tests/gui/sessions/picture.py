@@ -83,7 +83,7 @@ def session():
     still_life()
     render = scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = 1200, 780, 60
-    scene.pointmr.samples = 16
+    scene.pointmr.method, scene.pointmr.samples = "DISTRIBUTED", 16
     scene.pointmr.sample_clamp_indirect = 4.0
     bpy.context.preferences.view.render_display_type = "AREA"
     steps.area_of("PROPERTIES").spaces.active.context = "RENDER"
