@@ -1,0 +1,348 @@
+"""Prefiltered points: what the surface below every child of an eight-wide hierarchy amounts to, seen from afar.
+
+A point is the surface's area, centroid, covariance and normals (the tensor of sum A n n^T), exact for triangles and
+merged upwards by the parallel-axis rule; through instances by their transforms.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.hierarchy.acceleration import EMPTY, Acceleration, aligned_empty
+from pointmr_engine.hierarchy.nesting import placed_group
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.pointers import address_of, load_f32, pointer_f64
+from pointmr_engine.numerics.simd_cone import FLATNESS, POINT_ROWS, PP, XX, X
+from pointmr_engine.scene.group import VISIBLE
+
+# of 27 det V / (tr V)^3, 1 for a ball: up to where points are drawn as surface, from where as clumps
+SURFACE, CLUMP = 0.2, 0.6
+_AREA, _MU, _V, _M, _RAW = 0, 1, 4, 10, 16
+
+
+class Prefiltered(NamedTuple):
+    """One point for every child of every node of an Acceleration; K nodes."""
+
+    # (K, 16, 8) float32, of eight children: x, y, z of the centroid about the hierarchy's centre; covariance xx, xy,
+    # xz, yy, yz, zz per area; the tensor P, likewise, such that the area projected along unit w is sqrt(w^T P w); and 1 for
+    # flat ones to 0 for clumps. Areas are one side's, times opacity.
+    points: np.ndarray
+    # (2, K, 8) uint8: visibility bits that some, and that all, of what is below a child has
+    visibility: np.ndarray
+    mixed: bool  # False: everything is visible to all rays
+    part_opacity: np.ndarray  # (parts,) float32, -1: look at the slot
+    slot_opacity: np.ndarray  # (slots,) float32
+    group_raw: np.ndarray  # (groups, 16) float64: area, centroid about the centre, covariance, sum A n n^T
+
+
+@device
+def _add(total, raw):
+    """Merge one point into another, in place: (16,) float64, area, centroid, covariance, normals."""
+    a, b = total[_AREA], raw[_AREA]
+    if not b > 0.0:
+        return
+    s = a + b
+    share, cross = b / s, a * b / (s * s)
+    dx, dy, dz = raw[_MU] - total[_MU], raw[_MU + 1] - total[_MU + 1], raw[_MU + 2] - total[_MU + 2]
+    d = (dx * dx, dx * dy, dx * dz, dy * dy, dy * dz, dz * dz)
+    for k in range(6):
+        total[_V + k] = (1.0 - share) * total[_V + k] + share * raw[_V + k] + cross * d[k]
+        total[_M + k] += raw[_M + k]
+    total[_MU] += share * dx
+    total[_MU + 1] += share * dy
+    total[_MU + 2] += share * dz
+    total[_AREA] = s
+
+
+@device
+def _triangle(blocks, at, opacity, raw):
+    """raw = the triangle whose corners lie from float32 `at` on, 8 apart; False: it has no area."""
+    p = (
+        (load_f32(blocks, at), load_f32(blocks, at + 8), load_f32(blocks, at + 16)),
+        (load_f32(blocks, at + 24), load_f32(blocks, at + 32), load_f32(blocks, at + 40)),
+        (load_f32(blocks, at + 48), load_f32(blocks, at + 56), load_f32(blocks, at + 64)),
+    )
+    ax, ay, az = np.float64(p[0][0]), np.float64(p[0][1]), np.float64(p[0][2])
+    bx, by, bz = p[1][0] - ax, p[1][1] - ay, p[1][2] - az
+    cx, cy, cz = p[2][0] - ax, p[2][1] - ay, p[2][2] - az
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    double = np.sqrt(nx * nx + ny * ny + nz * nz)
+    area = 0.5 * double * opacity
+    if not (area > 0.0 and np.isfinite(area)):
+        return False
+    mx, my, mz = (bx + cx) / 3.0, (by + cy) / 3.0, (bz + cz) / 3.0
+    raw[_AREA] = area
+    raw[_MU], raw[_MU + 1], raw[_MU + 2] = ax + mx, ay + my, az + mz
+    # about the mean: (v_i - mu)(v_i - mu)^T of the three corners, with corner 0 at the origin
+    bx, by, bz, cx, cy, cz = bx - mx, by - my, bz - mz, cx - mx, cy - my, cz - mz
+    raw[_V] = (mx * mx + bx * bx + cx * cx) / 12.0
+    raw[_V + 1] = (mx * my + bx * by + cx * cy) / 12.0
+    raw[_V + 2] = (mx * mz + bx * bz + cx * cz) / 12.0
+    raw[_V + 3] = (my * my + by * by + cy * cy) / 12.0
+    raw[_V + 4] = (my * mz + by * bz + cy * cz) / 12.0
+    raw[_V + 5] = (mz * mz + bz * bz + cz * cz) / 12.0
+    s = area / (double * double)
+    raw[_M], raw[_M + 1], raw[_M + 2] = s * nx * nx, s * nx * ny, s * nx * nz
+    raw[_M + 3], raw[_M + 4], raw[_M + 5] = s * ny * ny, s * ny * nz, s * nz * nz
+    return True
+
+
+@device
+def _congruent(c, s, out, at):
+    """out[at : at + 6] = c S c^T for the symmetric S in s and the 3 x 3 matrix in the tuple c, row by row."""
+    xx, xy, xz, yy, yz, zz = s
+    k = at
+    for i in range(3):
+        x = c[3 * i] * xx + c[3 * i + 1] * xy + c[3 * i + 2] * xz
+        y = c[3 * i] * xy + c[3 * i + 1] * yy + c[3 * i + 2] * yz
+        z = c[3 * i] * xz + c[3 * i + 1] * yz + c[3 * i + 2] * zz
+        for j in range(i, 3):
+            out[k] = c[3 * j] * x + c[3 * j + 1] * y + c[3 * j + 2] * z
+            k += 1
+
+
+@device
+def _placed(address, i, child, child_center, parent_center, raw):
+    """raw = a child group's point in its parent, through placement i of the transforms at an address.
+
+    Normals keep their share of the area on the average only: exact where all areas grow alike.
+    """
+    m = pointer_f64(address)
+    at = 12 * i
+    a, b, c = m[at], m[at + 1], m[at + 2]
+    d, e, f = m[at + 4], m[at + 5], m[at + 6]
+    g, h, k = m[at + 8], m[at + 9], m[at + 10]
+    x, y, z = child[_MU] + child_center[0], child[_MU + 1] + child_center[1], child[_MU + 2] + child_center[2]
+    raw[_MU] = a * x + b * y + c * z + (m[at + 3] - parent_center[0])
+    raw[_MU + 1] = d * x + e * y + f * z + (m[at + 7] - parent_center[1])
+    raw[_MU + 2] = g * x + h * y + k * z + (m[at + 11] - parent_center[2])
+    _congruent(
+        (a, b, c, d, e, f, g, h, k),
+        (child[_V], child[_V + 1], child[_V + 2], child[_V + 3], child[_V + 4], child[_V + 5]),
+        raw, _V,
+    )  # fmt: skip
+    cofactors = (
+        e * k - f * h, f * g - d * k, d * h - e * g,
+        c * h - b * k, a * k - c * g, b * g - a * h,
+        b * f - c * e, c * d - a * f, a * e - b * d,
+    )  # fmt: skip
+    _congruent(
+        cofactors,
+        (child[_M], child[_M + 1], child[_M + 2], child[_M + 3], child[_M + 4], child[_M + 5]),
+        raw, _M,
+    )  # fmt: skip
+    squared = raw[_M] + raw[_M + 3] + raw[_M + 5]
+    grown = np.sqrt(squared / child[_AREA]) if child[_AREA] > 0.0 else 0.0
+    raw[_AREA] = grown * child[_AREA]
+    for n in range(6):
+        raw[_M + n] = raw[_M + n] / grown if grown > 0.0 else 0.0
+
+
+@device
+def _store(points, node, c, raw):
+    """Write a point as kernels read it."""
+    area = raw[_AREA]
+    for r in range(POINT_ROWS):
+        points[node, r, c] = np.float32(0)
+    for k in range(3):
+        points[node, X + k, c] = np.float32(raw[_MU + k])
+    if not area > 0.0:
+        return
+    for k in range(6):
+        points[node, XX + k, c] = np.float32(raw[_V + k])
+    # sqrt(A w^T M w) is the root mean square of the normals' cosines, which is more than their mean: by nothing for one
+    # normal, by 2 / sqrt(3) for all directions alike
+    one = 0.0
+    for k in range(6):
+        one += raw[_M + k] * raw[_M + k] * (1.0 if k == 0 or k == 3 or k == 5 else 2.0)
+    spread = min(max(1.5 * (1.0 - one / (area * area)), 0.0), 1.0)
+    factor = 1.0 - (1.0 - 0.8660254037844386) * spread
+    for k in range(6):
+        points[node, PP + k, c] = np.float32(factor * factor * area * raw[_M + k])
+    xx, xy, xz, yy, yz, zz = raw[_V], raw[_V + 1], raw[_V + 2], raw[_V + 3], raw[_V + 4], raw[_V + 5]
+    minor = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    third = (xx + yy + zz) / 3.0
+    bulk = minor / (third * third * third) if third > 0.0 else 0.0
+    points[node, FLATNESS, c] = np.float32(min(max((CLUMP - bulk) / (CLUMP - SURFACE), 0.0), 1.0))
+
+
+@uncounted
+def _shape_points(children, first, stop, blocks, block_triangles, first_triangle, opacity, points, raw, one):
+    """Points of a shape's nodes first..stop, the root first; raw (K, 16): of what nodes stand for."""
+    for node in range(stop - 1, first - 1, -1):
+        for k in range(_RAW):
+            raw[node, k] = 0.0
+        for c in range(8):
+            child = np.int64(children[node, c])
+            for k in range(_RAW):
+                one[0, k] = 0.0
+            if child >= 0:
+                for k in range(_RAW):
+                    one[0, k] = raw[child, k]
+            elif child != EMPTY:
+                block = ~child
+                for lane in range(8):
+                    triangle = np.int64(block_triangles[block, lane])
+                    if triangle >= 0:
+                        share = 1.0
+                        if len(opacity) > 0:
+                            share = np.float64(opacity[triangle - first_triangle])
+                        if _triangle(blocks, 72 * block + lane, share, one[1]):
+                            _add(one[0], one[1])
+            _store(points, node, c, one[0])
+            _add(raw[node], one[0])
+
+
+@device
+def _item(
+    w, records, batches, item, parent, group_center, group_raw, group_flags, part_raw, part_center, one
+):
+    """one[0] = the point of an item of group `parent`; returns the visibility bits (some, all) below it."""
+    record = np.int64(records[item])
+    if record < 0:
+        part = ~record
+        for k in range(_RAW):
+            one[0, k] = part_raw[part, k]
+        for k in range(3):
+            one[0, _MU + k] += part_center[part, k] - group_center[parent, k]
+        return np.int64(VISIBLE), np.int64(VISIBLE)
+    batch = np.int64(batches[item])
+    i = record - w.first_record[batch]
+    child = placed_group(w, batch, i)
+    _placed(w.transforms[batch], i, group_raw[child], group_center[child], group_center[parent], one[0])
+    own = np.int64(VISIBLE)
+    at = w.visibility[batch, 0]
+    if at >= 0:
+        own = np.int64(w.visibility_values[at + w.visibility[batch, 1] * i]) & VISIBLE
+    return own & group_flags[child, 0], own & group_flags[child, 1]
+
+
+@uncounted
+def _group_points(children, first, stop, w, records, batches, parent, group_center, group_raw, group_flags, part_raw,
+                  part_center, points, visibility, raw, flags, one):  # fmt: skip
+    """Points of a group's nodes first..stop, the root first, as _shape_points."""
+    for node in range(stop - 1, first - 1, -1):
+        for k in range(_RAW):
+            raw[node, k] = 0.0
+        some, every = np.int64(0), np.int64(VISIBLE)
+        for c in range(8):
+            child = np.int64(children[node, c])
+            for k in range(_RAW):
+                one[0, k] = 0.0
+            if child != EMPTY:
+                if child >= 0:
+                    for k in range(_RAW):
+                        one[0, k] = raw[child, k]
+                    a, b = np.int64(flags[child, 0]), np.int64(flags[child, 1])
+                else:
+                    a, b = _item(w, records, batches, ~child, parent, group_center, group_raw, group_flags, part_raw,
+                                 part_center, one)  # fmt: skip
+                visibility[0, node, c], visibility[1, node, c] = np.uint8(a), np.uint8(b)
+                some |= a
+                every &= b
+            _store(points, node, c, one[0])
+            _add(raw[node], one[0])
+        flags[node, 0], flags[node, 1] = some, every
+
+
+@uncounted
+def _single(
+    w, records, batches, item, parent, group_center, group_raw, group_flags, part_raw, part_center, one
+):
+    """The point and the bits of a group that has one item only and so no node."""
+    a, b = _item(
+        w, records, batches, item, parent, group_center, group_raw, group_flags, part_raw, part_center, one
+    )
+    for k in range(_RAW):
+        group_raw[parent, k] = one[0, k]
+    group_flags[parent, 0], group_flags[parent, 1] = a, b
+
+
+def prefilter(acceleration: Acceleration, opacity: np.ndarray | None = None) -> Prefiltered:
+    """The points of a whole scene.
+
+    opacity: (len(geometry.materials),) float, each material's mean opacity, 1 (the default) for what is opaque. Parts
+    that share their triangles but not their materials share points of their mean opacity.
+    """
+    arrays, geometry = acceleration.arrays, acceleration.geometry
+    tables, k = arrays.parts, len(arrays.children)
+    points = aligned_empty((k, POINT_ROWS, 8), np.float32)
+    visibility = np.full((2, k, 8), VISIBLE, np.uint8)
+    raw, flags = np.zeros((k, _RAW)), np.full((k, 2), VISIBLE, np.int64)
+    n_groups = len(arrays.group_root)
+    group_raw, group_flags = np.zeros((n_groups, _RAW)), np.full((n_groups, 2), VISIBLE, np.int64)
+    slot_opacity, part_opacity = _opacities(arrays, geometry, opacity)
+    one = np.zeros((2, _RAW))
+    # hierarchies follow each other: one ends where the next root is
+    roots = np.sort(np.concatenate([arrays.shape_root, arrays.group_root, [k]]).astype(np.int64))
+    shape_raw = np.zeros((max(len(arrays.shape_root), 1), _RAW))
+    blocks = address_of(arrays.blocks)
+
+    def end(root: int) -> int:
+        return int(roots[np.searchsorted(roots, root, "right")])
+
+    for s, root in enumerate(arrays.shape_root):
+        if root >= 0:
+            shares = _triangle_opacity(geometry, s, part_opacity, slot_opacity)
+            _shape_points(arrays.children, int(root), end(root), blocks, arrays.block_triangles,
+                          geometry.shapes[s].first_triangle, shares, points, raw, one)  # fmt: skip
+            shape_raw[s] = raw[root]
+    part_raw = np.ascontiguousarray(shape_raw[tables.shape]) if len(tables.shape) else shape_raw[:0]
+    for g, root in enumerate(arrays.group_root):
+        common = (g, arrays.group_center, group_raw, group_flags, part_raw, tables.center)
+        items = (arrays.instances, arrays.item_record, arrays.item_batch)
+        if root >= 0:
+            _group_points(arrays.children, int(root), end(root), *items, *common, points, visibility, raw, flags,
+                          one)  # fmt: skip
+            group_raw[g], group_flags[g] = raw[root], flags[root]
+        elif root != EMPTY:
+            _single(*items, int(~root), *common, one)
+    mixed = bool((visibility != VISIBLE).any())
+    return Prefiltered(points, visibility, mixed, part_opacity, slot_opacity, group_raw)
+
+
+def area_of(points: np.ndarray) -> np.ndarray:
+    """(K, 8) float32: area of each of (K, 16, 8) points, one side, times opacity."""
+    p = points[:, PP : PP + 6].astype(np.float64)
+    trace = p[:, 0] + p[:, 3] + p[:, 5]
+    square = (p * p).sum(1) + (p[:, [1, 2, 4]] ** 2).sum(1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        spread = np.clip(1.5 * (1.0 - square / trace**2), 0.0, 1.0)
+    return np.where(trace > 0, np.sqrt(trace) / (1.0 - (1.0 - np.sqrt(0.75)) * spread), 0.0).astype(
+        np.float32
+    )
+
+
+def _opacities(arrays, geometry, opacity) -> tuple[np.ndarray, np.ndarray]:
+    """(of every slot, of every part: -1 where its slots differ)."""
+    tables = arrays.parts
+    slots = np.ones(len(tables.slot_material), np.float32)
+    if opacity is not None:
+        opacity = np.asarray(opacity, np.float32)
+        if opacity.shape != (len(geometry.materials),):
+            raise ValueError(f"opacity has shape {opacity.shape}, expected ({len(geometry.materials)},)")
+        slots = opacity[tables.slot_material]
+    part = np.full(len(tables.shape), -1, np.float32)
+    for p, (first, count) in enumerate(zip(tables.first_slot, tables.slots, strict=True)):
+        used = slots[first : first + count] if tables.material_index[p] else slots[first : first + 1]
+        if (used == used[0]).all():
+            part[p] = used[0]
+    return slots, part
+
+
+def _triangle_opacity(geometry, shape: int, part_opacity, slot_opacity) -> np.ndarray:
+    """(T,) float32 opacity of a shape's triangles, () if all are opaque."""
+    tables = geometry.tables
+    parts = np.flatnonzero(tables.shape == shape)
+    if (part_opacity[parts] == 1).all():
+        return np.zeros(0, np.float32)
+    total = np.zeros(len(geometry.shapes[shape].triangles), np.float32)
+    for p in parts:
+        if part_opacity[p] >= 0:
+            total += part_opacity[p]
+            continue
+        slot = np.clip(geometry.parts[p].material_index, 0, tables.slots[p] - 1)
+        total += slot_opacity[tables.first_slot[p] + slot]
+    return total / np.float32(len(parts))

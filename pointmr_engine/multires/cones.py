@@ -1,0 +1,70 @@
+"""Cones: bundles of 8 x 8 sub-rays, as arrays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+SIDE = 8  # sub-rays along each side of a cone
+FULL = np.uint64(2**64 - 1)
+
+
+class Cones(NamedTuple):
+    """N cones in world space.
+
+    At distance t along the axis a cone is the rectangle of half-widths start + t * spread about origin + t * axis.
+    Sub-ray (i, j), bit 8 j + i of masks, passes at u = (i + 0.5) / 4 - 1 and v = (j + 0.5) / 4 - 1 of them. Spreads may
+    be negative: such a cone narrows to a line or point and widens again, with its sides exchanged.
+    """
+
+    origin: np.ndarray  # (N, 3) float64
+    axes: np.ndarray  # (N, 3, 3) float64, rows of unit length at right angles: x, y (lateral) and the axis
+    start: np.ndarray  # (N, 2) float64, half-widths along x and y at t = 0
+    spread: np.ndarray  # (N, 2) float64, what they gain per metre
+    t_min: np.ndarray  # (N,) float64: what lies nearer along the axis is ignored
+    t_max: np.ndarray  # (N,) float64
+    visibility: np.ndarray  # (N,) uint8, a bit of scene.group: only instances that have it are met
+
+
+def allocate_cones(n: int) -> Cones:
+    """Room for n cones, values undefined but for t_min (0), t_max (inf), start (0) and visibility (all)."""
+    return Cones(
+        np.empty((n, 3)),
+        np.empty((n, 3, 3)),
+        np.zeros((n, 2)),
+        np.empty((n, 2)),
+        np.zeros(n),
+        np.full(n, np.inf),
+        np.full(n, 255, np.uint8),
+    )
+
+
+def axes_of(direction: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) axes of cones along unit (N, 3) directions, turned about them anyhow."""
+    d = np.asarray(direction, np.float64)
+    sign = np.where(d[:, 2] < 0.0, -1.0, 1.0)
+    a = -1.0 / (sign + d[:, 2])
+    b = d[:, 0] * d[:, 1] * a
+    axes = np.empty((len(d), 3, 3))
+    axes[:, 0] = np.stack([1.0 + sign * d[:, 0] ** 2 * a, sign * b, -sign * d[:, 0]], 1)
+    axes[:, 1] = np.stack([b, sign + d[:, 1] ** 2 * a, -d[:, 1]], 1)
+    axes[:, 2] = d
+    return axes
+
+
+def sub_rays(cones: Cones, u: np.ndarray | None = None, v: np.ndarray | None = None):
+    """Rays through places (K,) u, v in [-1, 1] of all cones, by default those of the 64 sub-rays in the order of bits.
+
+    Returns (origin (N, K, 3), direction (N, K, 3), stretch (N, K)): directions of unit length; t of a cone is t of the
+    ray divided by stretch.
+    """
+    if u is None:
+        a = (np.arange(SIDE) + 0.5) / (SIDE / 2) - 1
+        u, v = np.tile(a, SIDE), np.repeat(a, SIDE)
+    x, y, t = (cones.axes[:, None, k] for k in range(3))
+    wide = [np.stack([w[:, :1] * u, w[:, 1:] * v], -1)[..., None] for w in (cones.start, cones.spread)]
+    origin = cones.origin[:, None] + wide[0][:, :, 0] * x + wide[0][:, :, 1] * y
+    direction = t + wide[1][:, :, 0] * x + wide[1][:, :, 1] * y
+    stretch = np.linalg.norm(direction, axis=-1)
+    return origin, direction / stretch[..., None], stretch
