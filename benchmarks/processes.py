@@ -21,15 +21,15 @@ class WorkerError(RuntimeError):
 class Worker:
     """One process that holds a scene and renders it with one method, and may load another scene after that.
 
-    Its output goes to the file `log`. Use as a context manager.
+    Its output goes to the file `log`. `module` is what the process runs. Use as a context manager.
     """
 
-    def __init__(self, log: Path, timeout: float = 1200.0):
+    def __init__(self, log: Path, timeout: float = 1200.0, module: str = "benchmarks.worker"):
         log.parent.mkdir(parents=True, exist_ok=True)
         self.timeout, self.log_path, self.label = timeout, log, ""
         self.log = open(log, "w")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.worker"],
+            [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.log,

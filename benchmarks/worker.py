@@ -15,6 +15,7 @@ import resource
 import sys
 import time
 import traceback
+from collections.abc import Callable
 
 
 def peak_mb() -> float:
@@ -88,7 +89,7 @@ class Job:
     def __init__(self, order: dict):
         import bpy
 
-        from benchmarks import methods, sources
+        from benchmarks import methods
 
         self.method = methods.Method(order["method"], order["samples"])
         self.size, self.threads = order["size"], order["threads"]
@@ -96,11 +97,21 @@ class Job:
             register_nothing()
         self.stats = record_our_stats() if self.method.name in methods.OURS else {}
         self.baseline = peak_mb()
-        source = sources.find(order["scene"])
+        source = self.source(order["scene"])
         source.load()
         self.overrides = source.overrides | order["overrides"]
         self.loaded = peak_mb()
         self.blender = bpy.app.version_string
+
+    def source(self, name: str):
+        """The Source of a scene's name."""
+        from benchmarks import sources
+
+        return sources.find(name)
+
+    def answer(self, order: dict) -> dict:
+        """Carry out an order to render."""
+        return self.render(order["seed"], order["out"])
 
     def render(self, seed: int, out: str) -> dict:
         """Render one image to `out`; returns times in seconds and memory in MB."""
@@ -139,7 +150,8 @@ class Job:
         }
 
 
-def main() -> None:
+def serve(make_job: Callable[[dict], Job]) -> None:
+    """Answer orders until told to stop; make_job(order) loads a scene."""
     # Blender writes to file descriptor 1 from C: answers go through a copy, all else to standard error.
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
@@ -152,14 +164,14 @@ def main() -> None:
             if "scene" in order:
                 job = None
                 start = time.perf_counter()
-                job = Job(order)
+                job = make_job(order)
                 answer = {
                     "loaded_s": time.perf_counter() - start,
                     "baseline_mb": job.baseline,
                     "blender": job.blender,
                 }
             else:
-                answer = job.render(order["seed"], order["out"])
+                answer = job.answer(order)
         except Exception as error:  # the judge reports it and goes on with the other methods
             answer = {"error": f"{type(error).__name__}: {error}", "trace": traceback.format_exc()}
         answers.write(json.dumps(answer, default=str) + "\n")
@@ -170,4 +182,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve(Job)
