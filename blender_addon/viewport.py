@@ -132,8 +132,7 @@ class Refiner:
         self._versions = 0
         self._closed = False
         self._pace = ForwardPace()
-        # the engine's, of the newest scene, by whether a step is sketched: a change of view alone builds nothing again
-        self._caches = {}
+        self._cache = None  # the engine's, of the newest scene: a change of view alone builds nothing again
         self._thread = threading.Thread(target=self._run, name="PointMR viewport", daemon=True)
         self._thread.start()
 
@@ -177,8 +176,8 @@ class Refiner:
         kernel_cache.prepare()
         from pointmr_engine.render import Cache, render
 
-        if not self._caches:
-            self._caches = {sketched: Cache() for sketched in (False, True)}
+        if self._cache is None:
+            self._cache = Cache()
 
         def progress(fraction, text, tile=None) -> bool:
             if average is None and text not in ("rendering", "done"):
@@ -200,8 +199,7 @@ class Refiner:
             batch = replace(with_samples(settings, step, number), **size)
             camera = camera_from_view(view, step.scale, lens)
             start = time.perf_counter()
-            cache = self._caches[step.sketched]
-            frame = render(replace(scene, camera=camera), batch, progress=progress, cache=cache)
+            frame = render(replace(scene, camera=camera), batch, progress=progress, cache=self._cache)
             if generation != self._generation or frame is None:
                 return
             seconds = time.perf_counter() - start

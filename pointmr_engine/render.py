@@ -45,25 +45,32 @@ class Compiled(NamedTuple):
     sampler: object  # forward.method.Sampler, None where nothing is splatted
     warnings: list[str]
 
+    def serves(self, method: str) -> bool:
+        """Whether all is there that the method needs."""
+        return not (
+            (method in SPLATTED and self.sampler is None) or (method in WALKED and self.acceleration is None)
+        )
+
 
 class Cache:
     """Keeps what `render` compiled of a scene for further renders of it, by other cameras and settings.
 
     It is used again as long as the scene's root, lights and world are the same objects (do not change them in place).
+    A method that needs more than was kept adds to it: forward mapping and raytracing share their samples.
     """
 
     def __init__(self):
         self._parts: tuple = ()
         self._compiled: Compiled | None = None
 
-    def find(self, scene: Scene, kind: tuple) -> Compiled | None:
-        """What was kept of this scene, or None."""
-        parts = (*kind, *_parts(scene))
+    def find(self, scene: Scene, filtered: bool) -> Compiled | None:
+        """What was kept of this scene, its materials filtered or not, or None."""
+        parts = (filtered, *_parts(scene))
         same = len(parts) == len(self._parts) and all(a is b for a, b in zip(parts, self._parts, strict=True))
         return self._compiled if same else None
 
-    def keep(self, scene: Scene, kind: tuple, compiled: Compiled) -> None:
-        self._parts, self._compiled = (*kind, *_parts(scene)), compiled
+    def keep(self, scene: Scene, filtered: bool, compiled: Compiled) -> None:
+        self._parts, self._compiled = (filtered, *_parts(scene)), compiled
 
 
 def _parts(scene: Scene) -> tuple:
@@ -96,14 +103,13 @@ def render(
     if settings.method == "conventional":
         settings = replace(settings, samples=1)
     filtered = settings.method != "distributed"  # there the pixel's many rays do it
-    kind = (filtered, settings.method in SPLATTED, settings.method in WALKED)
-    compiled = cache.find(scene, kind) if cache is not None and scene.camera is not None else None
+    compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
     helper = Helper()
     try:
-        if compiled is None:
-            compiled = _compile(scene, filtered, settings, clock, helper)
+        if compiled is None or not compiled.serves(settings.method):
+            compiled = _compile(scene, filtered, settings, clock, helper, compiled)
             if cache is not None:
-                cache.keep(scene, kind, compiled)
+                cache.keep(scene, filtered, compiled)
         if settings.method in SPLATTED:
             frame, counters, needs = _splat(scene, compiled, settings, clock)
         else:
@@ -150,39 +156,50 @@ class _Clock:
             raise Cancelled("the render was cancelled")
 
 
-def _compile(
-    scene: Scene, filtered: bool, settings: RenderSettings, clock: _Clock, helper: Helper
-) -> Compiled:
-    """Compile what neither camera nor settings change."""
+def _compile_surfaces(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
+    """Geometry and materials, which every method needs."""
+    from pointmr_engine.hierarchy.geometry import compile_geometry
     from pointmr_engine.scene.material import Material
     from pointmr_engine.shading.program import compile_graph
-
-    clock.phase("checking the scene")
-    warnings = scene.validate()
-    clock.phase("loading kernels")
-    splatted, walked = settings.method in SPLATTED, settings.method in WALKED
-    if settings.threads != 1 and walked:
-        helper.start()
-    from pointmr_engine.hierarchy.geometry import compile_geometry
 
     clock.phase("compiling materials")
     geometry = compile_geometry(scene)
     plain = Material("no material")
-    programs = []
+    programs, warnings = [], []
     for material in geometry.materials:
         program = compile_graph((material or plain).graph, filtered=filtered)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
-    acceleration = lights = sampler = None
+    return Compiled(geometry, programs, None, None, None, warnings)
+
+
+def _compile(
+    scene: Scene,
+    filtered: bool,
+    settings: RenderSettings,
+    clock: _Clock,
+    helper: Helper,
+    known: Compiled | None,
+) -> Compiled:
+    """Compile what neither camera nor settings change. known: what another method compiled of the same scene."""
+    clock.phase("checking the scene")
+    warnings = scene.validate() if known is None else []
+    clock.phase("loading kernels")
+    splatted, walked = settings.method in SPLATTED, settings.method in WALKED
+    if settings.threads != 1 and walked:
+        helper.start()
+    known = known or _compile_surfaces(scene, filtered, clock)
+    geometry, programs, acceleration, lights, sampler, found = known
+    warnings += found
     if walked:
         helper.begin(describe(scene, programs, settings))
     clock.phase("building hierarchies")
-    if splatted:
+    if splatted and sampler is None:
         from pointmr_engine.forward.method import Sampler
 
         sampler = Sampler(scene, geometry, programs, clock.tell)
         warnings += sampler.environment.warnings
-    if walked:
+    if walked and acceleration is None:
         from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
         from pointmr_engine.raytracing.lights import build_lights
 

@@ -19,7 +19,7 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
-from pointmr_engine.render import Cancelled
+from pointmr_engine.render import Cache, Cancelled
 from pointmr_engine.scene.group import CAMERA
 from tests.engine.small_scenes import at, from_above, lit_floor, quad
 
@@ -274,3 +274,23 @@ def test_looking_at_each_light_keeps_the_mean(roughness):
         combined(scene, samples=16, **size)[..., :3].mean((0, 1)),
     ]
     np.testing.assert_allclose(*means, rtol=0.02)
+
+
+def test_what_one_method_compiled_serves_the_next():
+    """Forward mapping's samples are not made again for raytracing; unfiltered materials are kept apart."""
+    scene, cache = lit_floor(), Cache()
+    first = render(scene, replace(TINY, method="forward"), cache=cache)
+    assert cache.find(scene, True).acceleration is None and cache.find(scene, False) is None
+    sampler, geometry = cache.find(scene, True).sampler, cache.find(scene, True).geometry
+    traced = render(scene, replace(TINY, method="raytrace"), cache=cache)
+    assert cache.find(scene, True).sampler is sampler and cache.find(scene, True).geometry is geometry
+    assert cache.find(scene, True).acceleration is not None
+    for method, alone in (("forward", first), ("raytrace", render(scene, replace(TINY, method="raytrace")))):
+        again = render(scene, replace(TINY, method=method), cache=cache)
+        np.testing.assert_array_equal(again.passes["combined"], alone.passes["combined"])
+        assert "compiling materials" not in again.stats["times"]
+    np.testing.assert_array_equal(traced.passes["combined"], again.passes["combined"])
+    render(scene, TINY, cache=cache)
+    assert cache.find(scene, False).sampler is None
+    rebuilt = replace(scene, root=Group("root", scene.root.meshes))
+    assert cache.find(rebuilt, False) is None
