@@ -51,6 +51,7 @@ class Sampler:
         self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
         self.ambient = self.world_light.mean
+        self.prefiltered = None  # hierarchy.prefilter.Prefiltered, made when cones first ask for it
         self.sets: dict[tuple, SampleSets] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()

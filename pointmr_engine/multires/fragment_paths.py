@@ -86,7 +86,7 @@ def close_transparency(lobes, throughput, count):
 class FragmentPaths(Workspace):
     """One thread's paths from fragments. settings.samples of the stage says how much of a lobe one ray stands for."""
 
-    def __init__(self, stage: Stage, window: bool):
+    def __init__(self, stage: Stage):
         super().__init__(stage, BATCH)
         n = BATCH
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)

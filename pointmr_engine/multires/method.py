@@ -14,6 +14,7 @@ import numpy as np
 
 from pointmr_engine.forward.method import Image
 from pointmr_engine.forward.tiles import TILE, Workspace
+from pointmr_engine.multires.cone_paths import ConeLight, ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.merge import merge_fragments
 from pointmr_engine.raytracing.integrator import Stage
@@ -42,6 +43,7 @@ class TracedImage(Image):
 
     def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
         self.stage = stage
+        self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
         super().__init__(sampler, scene, stage.camera, primary_settings(settings))
         side = math.isqrt(settings.raytrace.cones)
         self.footprint = self.pixel / side  # of a cone
@@ -57,12 +59,13 @@ class TracedShading:
 
     def __init__(self, image: TracedImage):
         self.image = image
-        self.window = image.stage.needs.window
 
     def shade(self, space: TracedTiles, hierarchy, count: int) -> None:
         """Fill space.light[:count]; see forward.materials.FullShading."""
         if space.shading is None:
-            space.shading = FragmentPaths(self.image.stage, self.window)
+            image = self.image
+            light = image.light
+            space.shading = FragmentPaths(image.stage) if light is None else ConePaths(image.stage, light)
         values = space.placement_values(hierarchy)
         space.used[:] = 0
         for first in range(0, count, BATCH):

@@ -105,6 +105,16 @@ class Lights:
         result.turns, result.empty = turns, False
         return result
 
+    @cached_property
+    def emitters_alone(self) -> Lights | None:
+        """The same lights, of which `sample` chooses emissive triangles only; None where there are none to choose."""
+        a = self.arrays
+        if not len(a.emitters.path):
+            return None
+        tree = build_light_tree(compile_lamps([])[0], a.emitters, a.world._replace(mode=OFF))
+        parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
+        return Lights(a._replace(tree=tree), *parts, self.only_met, self.warnings)
+
     def sample(
         self,
         position: np.ndarray,

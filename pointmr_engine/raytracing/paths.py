@@ -288,8 +288,11 @@ def roulette(throughput, depth, flags, slot, seed, number, tables, bounce, alive
 
 @device
 def only_diffuse(lobe_count, lobe_kind, k):
-    """Whether point k scatters by a diffuse lobe and nothing else."""
-    return lobe_count[k] == 1 and (lobe_kind[k, 0] & KIND_MASK) <= TRANSLUCENT
+    """Whether point k scatters by diffuse lobes and nothing else."""
+    for j in range(lobe_count[k]):
+        if (lobe_kind[k, j] & KIND_MASK) > TRANSLUCENT:
+            return False
+    return lobe_count[k] > 0
 
 
 @uncounted

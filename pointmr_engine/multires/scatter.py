@@ -1,0 +1,256 @@
+"""Where light comes from next: one cone for every glossy and transmitting lobe of a surface point.
+
+A lobe's cone leaves in the direction that it favours, as wide as the lobe; its weight is the lobe's albedo for the
+viewer (split sum; Karis 2013). What is weaker than the threshold goes on by chance, so that nothing is lost on average.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.forward.lobe_light import _towards_normal
+from pointmr_engine.multires.lamp_cones import set_axes
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import sample_1d
+from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, THROUGH
+from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
+from pointmr_engine.shading.bsdf.layout import (
+    ALPHA_X,
+    ALPHA_Y,
+    ASHIKHMIN_SHIRLEY,
+    GLASS,
+    HAS_TRANSMISSION,
+    IOR,
+    KIND_MASK,
+    NORMAL,
+    REFRACTION,
+    SAMPLE,
+    SINGULAR_LOBE,
+    TRANSLUCENT,
+    WEIGHT,
+)
+from pointmr_engine.shading.bsdf.setup import albedo
+from pointmr_engine.shading.bsdf.vector import dot, load3, row3
+from pointmr_engine.shading.points import RAY_GLOSSY, RAY_REFLECTION, RAY_SINGULAR, RAY_TRANSMISSION
+
+WIDE = 4.0  # half width of a lobe's cone, in slopes of its roughness: what lies beyond is left out
+WIDEST = 2.5  # tangent of a cone's half angle at most
+WEAK = 0.03  # weights below it go on by chance
+
+
+@device
+def _survives(tables, seed, bounce, number, which, weight, weak):
+    """(whether what has this weight goes on, factor of its weight)."""
+    if weight >= weak:
+        return True, 1.0
+    u = sample_1d(tables, seed, np.uint32(64 * bounce + 8 + which), number)
+    return u * weak < weight, weak / max(weight, 1e-30)
+
+
+@device
+def _continue(
+    paths, k, out, m, hits, frames, normal, flags, limits, r, g, b, dx, dy, dz, kind, glossy, transmission
+):
+    """Row m of `out` becomes the path k after one more bounce, with throughput (r, g, b)."""
+    a, s = paths.state, out.state
+    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP)
+    s.depth[m] = a.depth[k] + 1
+    s.diffuse_depth[m] = a.diffuse_depth[k]
+    s.glossy_depth[m] = a.glossy_depth[k] + glossy
+    s.transmission_depth[m] = a.transmission_depth[k] + transmission
+    s.transparent_depth[m] = a.transparent_depth[k]
+    if (
+        s.depth[m] > limits.bounces
+        or s.glossy_depth[m] > limits.glossy
+        or s.transmission_depth[m] > limits.transmission
+    ):
+        path_flags |= FINAL
+    s.kind[m] = kind
+    s.length[m] = 0
+    out.flags[m] = path_flags
+    out.slot[m] = paths.slot[k]
+    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
+    out.bsdf_pdf[m] = math.inf
+    out.origin_transmissive[m] = (flags[k] & HAS_TRANSMISSION) != 0
+    for c in range(3):
+        out.rays.origin[m, c] = frames.position[k, c]
+        out.origin_normal[m, c] = normal[k, c]
+    out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = dx, dy, dz
+    out.rays.t_min[m] = frames.offset[k]
+    out.rays.t_max[m] = math.inf
+    out.rays.visibility[m] = TRANSMISSION if transmission else GLOSSY
+    out.rays.skip_triangle[m] = hits.triangle[k]
+    out.rays.skip_path[m] = hits.path[k]
+    s.width[m] = a.width[k] + a.spread[k] * hits.t[k]
+
+
+@device
+def _open_cone(cones, m, out, wide, across, dx, dy, dz, ix, iy, iz):
+    """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it."""
+    set_axes(cones, m, ix, iy, iz, dx, dy, dz)
+    start, spread = 0.5 * out.state.width[m], 0.5 * out.state.spread[m]
+    for a in range(3):
+        cones.origin[m, a] = out.rays.origin[m, a]
+    cones.start[m, 0] = cones.start[m, 1] = start
+    cones.spread[m, 0] = min(wide + spread, WIDEST)
+    cones.spread[m, 1] = min(wide * across + spread, WIDEST)
+    cones.t_min[m], cones.t_max[m] = out.rays.t_min[m], out.rays.t_max[m]
+    cones.visibility[m] = out.rays.visibility[m]
+
+
+@uncounted
+def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, weak, alive, n, room,
+                  out, cones, alpha):  # fmt: skip
+    """Paths and cones behind the surfaces of paths 0..n, into out and cones; returns how many, -1 if over `room`.
+
+    Straight transparency is a path without a cone of its own: the ray goes on. alpha (M,) float32: the lobes'
+    roughness, -1 for what goes straight on. weak: weights below it go on by chance.
+    """
+    m = np.int64(0)
+    for k in range(n):
+        if not alive[k]:
+            continue
+        seed, number = samples.seed[paths.slot[k]], samples.number[paths.slot[k]]
+        t = paths.throughput[k]
+        x, y, z = lobes.transparency[k, 0], lobes.transparency[k, 1], lobes.transparency[k, 2]
+        if max(x, y, z) > 0.0 and not paths.flags[k] & LAST:
+            r, g, b = np.float64(t[0]) * x, np.float64(t[1]) * y, np.float64(t[2]) * z
+            go, scale = _survives(tables, seed, bounce, number, np.int64(0), max(r, g, b), weak)
+            if go:
+                if m >= room:
+                    return -1
+                _pass(paths, k, out, m, hits, frames, limits, r * scale, g * scale, b * scale)
+                alpha[m] = -1
+                m += 1
+        wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            base = kind & KIND_MASK
+            if base <= TRANSLUCENT:
+                continue
+            w, nm = load3(lobes.data, k, j, WEIGHT), load3(lobes.data, k, j, NORMAL)
+            cosine = dot(nm, wi)
+            rough_x, rough_y = np.float64(lobes.data[k, j, ALPHA_X]), np.float64(lobes.data[k, j, ALPHA_Y])
+            rough = math.sqrt(rough_x * rough_y)
+            if base == ASHIKHMIN_SHIRLEY:
+                reflected, transmitted, rough = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), 0.3
+            else:
+                reflected, transmitted = albedo(
+                    kind, lobes.data, np.int64(k), np.int64(j), tables_of_albedo, cosine
+                )
+            total = (
+                w[0] * (reflected[0] + transmitted[0])
+                + w[1] * (reflected[1] + transmitted[1])
+                + w[2] * (reflected[2] + transmitted[2])
+            ) / 3.0
+            share = np.float64(lobes.data[k, j, SAMPLE]) / total if total > 0.0 else 0.0
+            w = (w[0] * share * t[0], w[1] * share * t[1], w[2] * share * t[2])
+            singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+            if base != REFRACTION:
+                r, g, b = w[0] * reflected[0], w[1] * reflected[1], w[2] * reflected[2]
+                go, scale = _survives(tables, seed, bounce, number, np.int64(2 * j + 1), max(r, g, b), weak)
+                if go and max(r, g, b) > 0.0:
+                    if m >= room:
+                        return -1
+                    d = (
+                        2.0 * cosine * nm[0] - wi[0],
+                        2.0 * cosine * nm[1] - wi[1],
+                        2.0 * cosine * nm[2] - wi[2],
+                    )
+                    d = _towards_normal(nm, d, rough)
+                    g0 = row3(lobes.geometric_normal, k)
+                    if dot(g0, d) > 0.0:
+                        _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, r * scale,
+                                  g * scale, b * scale, d[0], d[1], d[2], RAY_REFLECTION | RAY_GLOSSY | singular,
+                                  np.int64(1), np.int64(0))  # fmt: skip
+                        out.state.spread[m] = paths.state.spread[k]
+                        _open_cone(cones, m, out, WIDE * 2.0 * rough if not singular else 0.0, abs(cosine), d[0], d[1],
+                                   d[2], nm[0], nm[1], nm[2])  # fmt: skip
+                        alpha[m] = 0.0 if singular else rough
+                        m += 1
+            if base == REFRACTION or base == GLASS:
+                r, g, b = w[0] * transmitted[0], w[1] * transmitted[1], w[2] * transmitted[2]
+                go, scale = _survives(tables, seed, bounce, number, np.int64(2 * j + 2), max(r, g, b), weak)
+                ior = np.float64(lobes.data[k, j, IOR])
+                inverse = 1.0 / ior if ior > 0.0 else 1.0
+                square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
+                if go and max(r, g, b) > 0.0 and square > 0.0:
+                    if m >= room:
+                        return -1
+                    along = inverse * cosine - math.sqrt(square)
+                    d = (
+                        along * nm[0] - inverse * wi[0],
+                        along * nm[1] - inverse * wi[1],
+                        along * nm[2] - inverse * wi[2],
+                    )
+                    _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, r * scale, g * scale,
+                              b * scale, d[0], d[1], d[2], RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0),
+                              np.int64(1))  # fmt: skip
+                    out.state.spread[m] = paths.state.spread[k]
+                    bend = abs(1.0 - inverse) * rough
+                    _open_cone(cones, m, out, WIDE * bend if not singular else 0.0, 1.0, d[0], d[1], d[2], nm[0],
+                               nm[1], nm[2])  # fmt: skip
+                    alpha[m] = 0.0 if singular else bend
+                    m += 1
+    return m
+
+
+@device
+def _pass(paths, k, out, m, hits, frames, limits, r, g, b):
+    """Row m of `out` becomes the path k, begun again behind the surface that it passes straight."""
+    a, s = paths.state, out.state
+    path_flags = np.int64(paths.flags[k]) | THROUGH
+    passed = a.transparent_depth[k] + 1
+    if passed >= limits.transparent:
+        path_flags |= LAST
+    for c in range(3):
+        out.rays.origin[m, c] = paths.rays.origin[k, c]
+        out.rays.direction[m, c] = paths.rays.direction[k, c]
+        out.origin_normal[m, c] = paths.origin_normal[k, c]
+    out.rays.t_min[m] = hits.t[k] + frames.offset[k]
+    out.rays.t_max[m] = paths.rays.t_max[k]
+    out.rays.visibility[m] = paths.rays.visibility[k]
+    out.rays.skip_triangle[m] = hits.triangle[k]
+    out.rays.skip_path[m] = hits.path[k]
+    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
+    out.bsdf_pdf[m] = paths.bsdf_pdf[k]
+    out.origin_transmissive[m] = paths.origin_transmissive[k]
+    out.flags[m] = path_flags
+    out.slot[m] = paths.slot[k]
+    s.kind[m] = a.kind[k]
+    s.depth[m] = a.depth[k]
+    s.diffuse_depth[m] = a.diffuse_depth[k]
+    s.glossy_depth[m] = a.glossy_depth[k]
+    s.transmission_depth[m] = a.transmission_depth[k]
+    s.transparent_depth[m] = passed
+    s.length[m] = 0
+    s.width[m] = a.width[k]
+    s.spread[m] = a.spread[k]
+
+
+@uncounted
+def keep_lobes(lobes, alpha, diffuse_only, count):
+    """Drop the lobes of points 0..count that cones have taken: perfect mirrors and clear glass, or all but diffuse.
+
+    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals left it.
+    """
+    for k in range(count):
+        kept = np.int64(0)
+        flags = np.int64(0)
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            base = kind & KIND_MASK
+            if base > TRANSLUCENT and (diffuse_only or kind & SINGULAR_LOBE):
+                continue
+            flags = np.int64(1)
+            if kept != j:
+                lobes.kind[k, kept] = kind
+                alpha[k, kept, 0], alpha[k, kept, 1] = alpha[k, j, 0], alpha[k, j, 1]
+                for c in range(lobes.data.shape[2]):
+                    lobes.data[k, kept, c] = lobes.data[k, j, c]
+            kept += 1
+        lobes.count[k] = kept
+        if flags == 0:
+            lobes.flags[k] = 0
