@@ -13,6 +13,7 @@ from benchmarks.closed_forms.cases import all_cases
 from benchmarks.closed_forms.stage import Case
 from benchmarks.report import markdown
 from pointmr_engine import RenderSettings, SceneError, render
+from pointmr_engine.render import Cache
 from pointmr_engine.scene.settings import RaytraceSettings
 
 OUT = Path(__file__).parents[2] / "docs" / "benchmarks" / "closed_forms.md"
@@ -50,9 +51,10 @@ def settings_of(case: Case, method: str, **values) -> RenderSettings:
     return case.render_settings(method=name, **values)
 
 
-def image_of(case: Case, scene, method: str, **values) -> np.ndarray:
+def image_of(case: Case, scene, method: str, cache: Cache | None = None, **values) -> np.ndarray:
     """(height, width, 4) float64: the case's scene by a method as `settings_of` names it."""
-    return render(scene, settings_of(case, method, **values)).passes["combined"].astype(np.float64)
+    frame = render(scene, settings_of(case, method, **values), cache=cache)
+    return frame.passes["combined"].astype(np.float64)
 
 
 def formula_error(
@@ -79,15 +81,15 @@ def picture(exact: np.ndarray, image: np.ndarray, scale: int = 6) -> np.ndarray:
 
 def row(case: Case, methods: list[str], folder: Path | None) -> list[str]:
     """One line of the table; a dash where the method is not there, a note where it refuses the scene."""
-    exact, scene = case.exact(), case.scene()
+    exact, scene, cache = case.exact(), case.scene(), Cache()
     cells = [case.name]
     for method in methods:
         if method.startswith("raytrace") and not raytrace_exists():
             cells.append("-")
             continue
         try:
-            image = image_of(case, scene, method)
-        except (SceneError, NotImplementedError) as problem:
+            image = image_of(case, scene, method, cache)
+        except SceneError as problem:
             cells.append(str(problem)[:40])
             continue
         cells.append(f"{100.0 * case.error(image, exact):.2f}")
@@ -95,7 +97,7 @@ def row(case: Case, methods: list[str], folder: Path | None) -> list[str]:
             name = f"{case.name.replace(',', '').replace(' ', '_')}-{method.replace(':', '_')}.png"
             Image.fromarray(picture(exact, image)).save(folder / name)
         if method == "distributed:1024":
-            again = image_of(case, scene, method, seed=1)
+            again = image_of(case, scene, method, cache, seed=1)
             cells.append(
                 "{:.2f} +- {:.2f}".format(*(100.0 * v for v in formula_error(case, exact, image, again)))
             )

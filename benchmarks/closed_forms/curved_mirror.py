@@ -81,7 +81,7 @@ def _sphere_case(name: str, what: str, view: View) -> Case:
 
 
 def _plane_case() -> Case:
-    view = View(40, 20, look_at((0.0, -3.0, 2.0), (0.3, 0.1, 0.0), roll=0.4), 0.8)
+    view = View(40, 20, look_at((0.0, -2.5, 2.5), (0.0, -1.5, 0.0), roll=0.4), 1.1)
 
     def radiance_at(px, py):
         _, d = view.rays(px, py)

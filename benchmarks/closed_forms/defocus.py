@@ -14,7 +14,7 @@ from pointmr_engine import Group, Scene
 
 EYE = 10.0  # height of the camera, which looks down on a plane z
 FOCAL = 36.0  # millimetres: as wide as the sensor
-FSTOP = 0.36
+FSTOP = 0.06
 RADIUS = 0.5e-3 * FOCAL / FSTOP
 
 
@@ -42,7 +42,7 @@ def _case(name: str, depth: float, focus: float, scale: float) -> Case:
         return filtered(view, radiance_at, 24)
 
     pixels = 2.0 * blur / depth * view.focal * view.width
-    what = f"half plane {'behind' if depth > focus else 'before'} the focus, {pixels:.0f} pixels of blur"
+    what = f"half plane {'behind' if depth > focus else 'before'} the focus, {pixels:.1f} pixels of blur"
     return Case(name, what, view, scene, exact, "lens")
 
 
@@ -51,5 +51,5 @@ def cases() -> list[Case]:
     return [
         _case("defocused far edge", 8.0, 1.5, 1.0),
         _case("defocused near edge", 1.0, 1.2, 1.0),
-        _case("edge nearly in focus", 4.0, 3.9, 1.0),
+        _case("edge nearly in focus", 4.0, 3.5, 1.0),
     ]
