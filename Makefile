@@ -15,7 +15,7 @@ STAMP := $(VENV)/.pointmr
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make render    render $(BLEND) to $(OUT)/ (BLEND=..., ARGS='--samples 256')"
+	@echo "make render    render $(BLEND) to $(OUT)/ (BLEND=..., ARGS='--method raytrace --cones 4')"
 	@echo "make test      lint and quick tests       make test-all  every test"
 	@echo "make bench     error against time, beside Cycles, to $(OUT)/judge/"
 	@echo "make clean     remove out/, caches and compiled kernels (not .venv)"
@@ -34,7 +34,7 @@ lint: $(STAMP)-test
 	$(BIN)/ruff format --check .
 
 bench: $(STAMP)-bench
-	$(BIN)/python -m benchmarks.judge $(or $(ARGS),$(BLEND) --methods distributed:4,16,64 cycles:4,16,64 conventional)
+	$(BIN)/python -m benchmarks.judge $(or $(ARGS),$(BLEND) --methods raytrace:1,4 distributed:4,16,64 cycles:4,16,64 conventional)
 
 setup: $(STAMP)-render $(STAMP)-test
 

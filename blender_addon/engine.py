@@ -93,7 +93,7 @@ class PointMRRender(bpy.types.RenderEngine):
     def _render_layer(self, scene, settings, layer):
         cold = kernel_cache.is_cold()
         if cold:
-            self.reporter("INFO", "PointMR: the first render compiles its kernels, under a minute, once")
+            self.reporter("INFO", "PointMR: the first render compiles its kernels, a minute or two, once")
             self.reporter.flush()
         for p in passes.list_passes(layer):
             if p.key != "combined":  # which Blender always makes

@@ -46,7 +46,7 @@ class PointMRSceneSettings(RaytraceProperties, ForwardProperties, bpy.types.Prop
         name="Method",
         description="How an image is made from the scene",
         items=METHODS,
-        default="DISTRIBUTED",
+        default="RAYTRACE",
     )
     samples: IntProperty(
         name="Samples",

@@ -125,7 +125,7 @@ class RenderSettings:
     height: int = 480
     pixel_aspect: float = 1.0  # pixel width / height
     region: tuple[int, int, int, int] | None = None
-    method: str = "distributed"
+    method: str = "raytrace"
     samples: int = 64
     seed: int = 0
     pixel_filter: str = "blackman_harris"

@@ -15,7 +15,7 @@ import pytest
 
 import blender_addon
 from blender_addon import kernel_cache
-from pointmr_engine import ForwardSettings, RaytraceSettings
+from pointmr_engine import ForwardSettings, RaytraceSettings, RenderSettings
 
 ADDON = Path(blender_addon.__file__).parent
 
@@ -79,7 +79,7 @@ def test_settings_survive_a_file(tmp_path):
     [
         ("method", "CONVENTIONAL", "method", "conventional"),
         ("method", "FORWARD", "method", "forward"),
-        ("method", "RAYTRACE", "method", "raytrace"),
+        ("method", "DISTRIBUTED", "method", "distributed"),
         ("samples", 37, "samples", 37),
         ("seed", 5, "seed", 5),
         ("pixel_filter_type", "GAUSSIAN", "pixel_filter", "gaussian"),
@@ -266,6 +266,12 @@ def test_panels_of_raytracing_show_its_settings_and_no_samples():
     assert {name for panel in panels for name in drawn(panel)} == every
     own.method = "DISTRIBUTED"
     assert {name for panel in panels[1:] for name in drawn(panel)} == {"samples", "preview_samples"}
+
+
+def test_raytracing_is_the_method_where_none_was_chosen():
+    from blender_addon import sync
+
+    assert RenderSettings().method == sync.settings_from_blender(bpy.context.scene).method == "raytrace"
 
 
 def test_animated_seed_changes_with_the_frame():
