@@ -180,7 +180,9 @@ def apply_options(scene, options: Options) -> None:
         if own.method == "FORWARD":
             set_property(own, "forward_samples_per_pixel", str(options.samples), "samples")
         elif own.method == "RAYTRACE":
-            raise CommandError("--samples is not of method raytrace, which takes --cones; or choose another --method")
+            raise CommandError(
+                "--samples is not of method raytrace, which takes --cones; or choose another --method"
+            )
     for name, value in options.own.items():
         method, option = name.partition("_")[0], option_of(name)
         if own.method != method.upper():
