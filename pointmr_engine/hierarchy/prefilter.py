@@ -17,29 +17,33 @@ from pointmr_engine.numerics.pointers import address_of, load_f32, pointer_f64
 from pointmr_engine.numerics.simd_cone import FLATNESS, POINT_ROWS, PP, XX, X
 from pointmr_engine.scene.group import VISIBLE
 
-# of 27 det V / (tr V)^3, 1 for a ball: up to where points are drawn as surface, from where as clumps
-SURFACE, CLUMP = 0.2, 0.6
-_AREA, _MU, _V, _M, _RAW = 0, 1, 4, 10, 16
+# of 3 tr(M V) / (A tr V), 0 where all normals stand on the surface's extent, 1 where they stand anyhow: up to where
+# points are drawn as surface, from where as clumps
+SURFACE, CLUMP = 0.05, 0.3
+_AREA, _MU, _V, _M, _SEEN, _ROOM, _RAW = 0, 1, 4, 10, 16, 17, 18
+DISK = 0.8660254037844386
 
 
 class Prefiltered(NamedTuple):
     """One point for every child of every node of an Acceleration; K nodes."""
 
     # (K, 16, 8) float32, of eight children: x, y, z of the centroid about the hierarchy's centre; covariance xx, xy,
-    # xz, yy, yz, zz per area; the tensor P, likewise, such that the area projected along unit w is sqrt(w^T P w); and 1 for
-    # flat ones to 0 for clumps. Areas are one side's, times opacity.
+    # xz, yy, yz, zz per area; the tensor P, likewise, such that what it covers along unit w is sqrt(w^T P w); and 1
+    # for flat ones to 0 for clumps. Areas are one side's, times opacity.
     points: np.ndarray
     # (2, K, 8) uint8: visibility bits that some, and that all, of what is below a child has
     visibility: np.ndarray
     mixed: bool  # False: everything is visible to all rays
     part_opacity: np.ndarray  # (parts,) float32, -1: look at the slot
     slot_opacity: np.ndarray  # (slots,) float32
-    group_raw: np.ndarray  # (groups, 16) float64: area, centroid about the centre, covariance, sum A n n^T
+    group_raw: (
+        np.ndarray
+    )  # (groups, 18) float64: area, centroid about the centre, covariance, sum A n n^T, ...
 
 
 @device
 def _add(total, raw):
-    """Merge one point into another, in place: (16,) float64, area, centroid, covariance, normals."""
+    """Merge one point into another, in place: (18,) float64."""
     a, b = total[_AREA], raw[_AREA]
     if not b > 0.0:
         return
@@ -54,6 +58,20 @@ def _add(total, raw):
     total[_MU + 1] += share * dy
     total[_MU + 2] += share * dz
     total[_AREA] = s
+    total[_SEEN] += raw[_SEEN]
+    total[_ROOM] += raw[_ROOM]
+
+
+@device
+def _room(raw):
+    """Mean area of the projections of the covariance's ellipse, of two standard deviations, over all directions."""
+    xx, xy, xz, yy, yz, zz = raw[_V], raw[_V + 1], raw[_V + 2], raw[_V + 3], raw[_V + 4], raw[_V + 5]
+    minors = yy * zz - yz * yz + xx * zz - xz * xz + xx * yy - xy * xy
+    det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    third = (xx + yy + zz) / 3.0
+    bulk = min(max(det / (third * third * third), 0.0), 1.0) if third > 0.0 else 0.0
+    # the root mean square, and what it is more than the mean: nothing for a ball, 2 / sqrt(3) for a disk
+    return 4.0 * np.pi * np.sqrt(max(minors, 0.0) / 3.0) * (DISK + (1.0 - DISK) * bulk)
 
 
 @device
@@ -73,7 +91,7 @@ def _triangle(blocks, at, opacity, raw):
     if not (area > 0.0 and np.isfinite(area)):
         return False
     mx, my, mz = (bx + cx) / 3.0, (by + cy) / 3.0, (bz + cz) / 3.0
-    raw[_AREA] = area
+    raw[_AREA], raw[_SEEN] = area, 0.5 * area
     raw[_MU], raw[_MU + 1], raw[_MU + 2] = ax + mx, ay + my, az + mz
     # about the mean: (v_i - mu)(v_i - mu)^T of the three corners, with corner 0 at the origin
     bx, by, bz, cx, cy, cz = bx - mx, by - my, bz - mz, cx - mx, cy - my, cz - mz
@@ -86,6 +104,7 @@ def _triangle(blocks, at, opacity, raw):
     s = area / (double * double)
     raw[_M], raw[_M + 1], raw[_M + 2] = s * nx * nx, s * nx * ny, s * nx * nz
     raw[_M + 3], raw[_M + 4], raw[_M + 5] = s * ny * ny, s * ny * nz, s * nz * nz
+    raw[_ROOM] = max(_room(raw), raw[_SEEN])
     return True
 
 
@@ -136,8 +155,34 @@ def _placed(address, i, child, child_center, parent_center, raw):
     squared = raw[_M] + raw[_M + 3] + raw[_M + 5]
     grown = np.sqrt(squared / child[_AREA]) if child[_AREA] > 0.0 else 0.0
     raw[_AREA] = grown * child[_AREA]
+    raw[_SEEN] = grown * child[_SEEN]
+    raw[_ROOM] = grown * child[_ROOM]
     for n in range(6):
         raw[_M + n] = raw[_M + n] / grown if grown > 0.0 else 0.0
+
+
+@device
+def _flatness(raw):
+    """1 for what lies across its normals, as a surface does; 0 for what faces all ways."""
+    v, m = _V, _M
+    along = raw[v] * raw[m] + raw[v + 3] * raw[m + 3] + raw[v + 5] * raw[m + 5]
+    along += 2.0 * (raw[v + 1] * raw[m + 1] + raw[v + 2] * raw[m + 2] + raw[v + 4] * raw[m + 4])
+    size = (raw[v] + raw[v + 3] + raw[v + 5]) * raw[_AREA]
+    bulk = 3.0 * along / size if size > 0.0 else 0.0
+    return min(max((CLUMP - bulk) / (CLUMP - SURFACE), 0.0), 1.0)
+
+
+@device
+def _overlap(raw):
+    """Take off what the parts of a node cover of each other.
+
+    Parts cover a share of their room, and lie in as many layers as their rooms together are more than the node's.
+    """
+    room = _room(raw)
+    if raw[_ROOM] > room and room > 0.0:
+        layers, share = raw[_ROOM] / room, min(raw[_SEEN] / raw[_ROOM], 1.0)
+        raw[_SEEN] = room * (1.0 - (1.0 - share) ** layers)
+    raw[_ROOM] = max(room, raw[_SEEN])
 
 
 @device
@@ -158,14 +203,10 @@ def _store(points, node, c, raw):
     for k in range(6):
         one += raw[_M + k] * raw[_M + k] * (1.0 if k == 0 or k == 3 or k == 5 else 2.0)
     spread = min(max(1.5 * (1.0 - one / (area * area)), 0.0), 1.0)
-    factor = 1.0 - (1.0 - 0.8660254037844386) * spread
+    factor = (1.0 - (1.0 - DISK) * spread) * (2.0 * raw[_SEEN] / area)
     for k in range(6):
         points[node, PP + k, c] = np.float32(factor * factor * area * raw[_M + k])
-    xx, xy, xz, yy, yz, zz = raw[_V], raw[_V + 1], raw[_V + 2], raw[_V + 3], raw[_V + 4], raw[_V + 5]
-    minor = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    third = (xx + yy + zz) / 3.0
-    bulk = minor / (third * third * third) if third > 0.0 else 0.0
-    points[node, FLATNESS, c] = np.float32(min(max((CLUMP - bulk) / (CLUMP - SURFACE), 0.0), 1.0))
+    points[node, FLATNESS, c] = np.float32(_flatness(raw))
 
 
 @uncounted
@@ -191,8 +232,10 @@ def _shape_points(children, first, stop, blocks, block_triangles, first_triangle
                             share = np.float64(opacity[triangle - first_triangle])
                         if _triangle(blocks, 72 * block + lane, share, one[1]):
                             _add(one[0], one[1])
+                _overlap(one[0])
             _store(points, node, c, one[0])
             _add(raw[node], one[0])
+        _overlap(raw[node])
 
 
 @device
@@ -244,6 +287,7 @@ def _group_points(children, first, stop, w, records, batches, parent, group_cent
                 every &= b
             _store(points, node, c, one[0])
             _add(raw[node], one[0])
+        _overlap(raw[node])
         flags[node, 0], flags[node, 1] = some, every
 
 

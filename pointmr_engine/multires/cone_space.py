@@ -47,12 +47,14 @@ KIND, FLAGS, BOTTOM, SEED = 0, 1, 2, 3  # columns of Levels.state
 class Style(NamedTuple):
     """What is drawn as points, and how."""
 
-    small: float = 1.5  # cells: boxes no larger are drawn as their prefiltered point
-    reach: float = 2.1  # radius of an ellipse in standard deviations; a disk's edge is at 2
-    solid: float = (
-        1.25  # surfaces: times the share of the ellipse that is covered, from 1 on it is drawn without gaps
+    small: float = (
+        2.5  # cells: boxes no larger are drawn as their prefiltered point; 0: only triangles are met
     )
-    dense: float = 1.0  # clumps: times the optical depth
+    reach: float = 2.05  # radius of an ellipse in standard deviations; a disk's edge is at 2
+    solid: float = (
+        1.1  # times the share of the ellipse that surfaces cover: from 1 on it is drawn without gaps
+    )
+    dense: float = 1.0  # times the share that clumps cover
 
 
 class Levels(NamedTuple):
@@ -64,12 +66,14 @@ class Levels(NamedTuple):
     state: np.ndarray
     chain: np.ndarray  # (levels, 2) int64: the instance records walked down, and their batches
     depth: np.ndarray  # (levels,) int64: number of instances above
+    offset: np.ndarray  # (levels,) float64: t of the centre that the level's constants are about
 
 
 class Scratch(NamedTuple):
     """A call's working memory."""
 
     stack: np.ndarray  # (entries, 2) int64: children to be visited, sub-rays that may meet them
+    fronts: np.ndarray  # (entries,) float32: where their boxes begin
     constants: int  # address of Levels.constants
     boxes: int  # addresses of rows of eight float32, of numerics.simd_cone
     ellipses: int
@@ -148,12 +152,14 @@ def allocate(acceleration: Acceleration) -> tuple[Levels, Scratch]:
         np.zeros((depth, 4), np.int64),
         np.zeros((depth, 2), np.int64),
         np.zeros(depth, np.int64),
+        np.zeros(depth),
     )
     stack = np.empty((acceleration.arrays.stack_size + 16, 2), np.int64)
     at = lanes.ctypes.data
     ellipses = at + 32 * BOX_ROWS
     triangles = ellipses + 32 * ELLIPSE_ROWS
-    return levels, Scratch(stack, levels.constants.ctypes.data, at, ellipses, triangles, lanes)
+    fronts = np.empty(len(stack), np.float32)
+    return levels, Scratch(stack, fronts, levels.constants.ctypes.data, at, ellipses, triangles, lanes)
 
 
 @device
@@ -201,6 +207,7 @@ def set_constants(levels, level, address, centers, radii, hierarchy, cones, n, s
             offset = max(offset, abs(moved))
             store_f32(address, at + MATRIX + 4 * r + 3, np.float32(moved))
         else:
+            levels.offset[level] = moved
             # t about the centre, so that it is as precise as the hierarchy, however far that is
             store_f32(address, at + MATRIX + 11, np.float32(0))
             store_f32(address, at + START_X, np.float32(cones.start[n, 0] + cones.spread[n, 0] * moved))

@@ -31,6 +31,7 @@ from pointmr_engine.numerics.simd import BLOCK_FLOATS, trailing_zeros
 from pointmr_engine.numerics.simd_cone import (
     COLUMNS,
     CONSTANTS,
+    FRONT,
     LINES,
     OPACITY,
     cone_boxes,
@@ -189,7 +190,7 @@ def usable(cones, n):
 @uncounted
 def _visible(w, s, cones, masks, counters, levels, scratch, style, start, stop):
     """The walk for cones[start:stop]; masks: int64."""
-    stack, state = scratch.stack, levels.state
+    stack, fronts, state = scratch.stack, scratch.fronts, levels.state
     for n in range(start, stop):
         masks[n] = 0
         if not usable(cones, n):
@@ -224,6 +225,7 @@ def _visible(w, s, cones, masks, counters, levels, scratch, style, start, stop):
                         if covered != 0:
                             opacity = load_f32(scratch.ellipses, 8 * OPACITY + lane)
                             mask |= dithered(s, covered, opacity, 8 * node + lane + 977 * state[level, SEED])
+                first = sp
                 while bits != 0:
                     lane = trailing_zeros(bits)
                     bits &= bits - 1
@@ -231,8 +233,18 @@ def _visible(w, s, cones, masks, counters, levels, scratch, style, start, stop):
                     lines = np.int64(load_f32(scratch.boxes, 8 * LINES + lane))
                     rays = load_i64(s.columns, columns) & load_i64(s.lines, lines)
                     if rays & ~mask != 0:
-                        stack[sp, 0] = load_i32(w.children, 8 * node + lane)
-                        stack[sp, 1] = rays
+                        front = load_f32(scratch.boxes, 8 * FRONT + lane)
+                        j = sp
+                        while j > first and fronts[j - 1] < front:
+                            stack[j, 0], stack[j, 1], fronts[j] = (
+                                stack[j - 1, 0],
+                                stack[j - 1, 1],
+                                fronts[j - 1],
+                            )
+                            j -= 1
+                        stack[j, 0] = load_i32(w.children, 8 * node + lane)
+                        stack[j, 1] = rays
+                        fronts[j] = front
                         sp += 1
             elif node != EMPTY:
                 part = state[level, KIND]

@@ -68,3 +68,14 @@ def sub_rays(cones: Cones, u: np.ndarray | None = None, v: np.ndarray | None = N
     direction = t + wide[1][:, :, 0] * x + wide[1][:, :, 1] * y
     stretch = np.linalg.norm(direction, axis=-1)
     return origin, direction / stretch[..., None], stretch
+
+
+def sub_ray(cones: Cones, index: np.ndarray, bit: np.ndarray):
+    """(direction (K, 3) of unit length, stretch (K,)) of sub-rays bit[k] of cones index[k], as `sub_rays`."""
+    u, v = ((bit & 7) + 0.5) * 0.25 - 1.0, ((bit >> 3) + 0.5) * 0.25 - 1.0
+    axes, spread = cones.axes[index], cones.spread[index]
+    direction = (
+        axes[:, 2] + (u * spread[:, 0])[:, None] * axes[:, 0] + (v * spread[:, 1])[:, None] * axes[:, 1]
+    )
+    stretch = np.linalg.norm(direction, axis=1)
+    return direction / stretch[:, None], stretch

@@ -107,10 +107,9 @@ def cone_boxes(typingctx, boxes, node, constants, out):
             most = a.abs().at_least(b.abs())
             a, b = (zero - most).where(around, a), most.where(around, b)
             low, high = low.abs().at_most(high.abs()).where(turned, low), low.abs().at_least(high.abs())
-            low = low.at_least(_TINY)
-            high = high.at_least(_TINY)
-            a = (a / high).where(a > 0.0, a / low) * 4.0 + 4.0
-            b = (b / low).where(b > 0.0, b / high) * 4.0 + 4.0
+            most, least = t.constant(4.0) / low.at_least(_TINY), t.constant(4.0) / high.at_least(_TINY)
+            a = a * least.where(a > 0.0, most) + 4.0
+            b = b * most.where(b > 0.0, least) + 4.0
             first, last = _centres(a, b)
             met = (last - first) > -0.5
             rows.append((first, last, met))
@@ -179,12 +178,8 @@ def cone_points(typingctx, points, node, constants, out):
         reach = constant(REACH)
         # of an ellipse of REACH^2 standard deviations
         ratio = seen / (det.sqrt() * reach * math.pi)
-        thick = ratio * constant(DENSE)
-        series = t.constant(1 / 6) + thick * (1 / 24)
-        series = t.constant(1.0) + thick * (t.constant(1.0) + thick * (t.constant(0.5) + thick * series))
-        covered = t.constant(1.0) - t.constant(1.0) / series  # 1 - exp(-thick), to a per cent
         flat = column(FLATNESS)
-        opacity = flat * (ratio * constant(SOLID)).at_most(1.0) + (t.constant(1.0) - flat) * covered
+        opacity = ratio * (constant(DENSE) + flat * (constant(SOLID) - constant(DENSE)))
         scale = t.constant(1.0) / (det * reach)
         wide, high = (s_uu * reach).at_least(0.0).sqrt(), (s_vv * reach).at_least(0.0).sqrt()
         first, last = _centres(middle[0] - wide, middle[0] + wide)

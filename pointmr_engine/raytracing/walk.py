@@ -77,7 +77,7 @@ def _child_group(w, batch, i):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _describe(w, chain, length, hits, n):
+def describe(w, chain, length, hits, n):
     """Fill what the chain of instance records says about hit n."""
     world = hits.world_from_part[n]
     for r in range(3):
@@ -238,7 +238,7 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
             hits.part[n] = best_part
             hits.u[n] = best_u
             hits.v[n] = best_v
-            _describe(w, best_chain, best_length, hits, n)
+            describe(w, best_chain, best_length, hits, n)
 
 
 def _run(
