@@ -30,6 +30,7 @@ from benchmarks.report import markdown
 from benchmarks.sources import text_hash
 
 SEED, REFERENCE_SEED = 11, 9001
+MOST = 1024  # samples a pixel that a rival is given
 SHOWN = 6  # frames of each method on the contact sheet
 COLUMNS = [
     "scene",
@@ -94,11 +95,15 @@ def reference(subject: str, o, views) -> np.ndarray:
 
 
 def equal_samples(renderer: Renderer, out: Path, goal: float, view) -> int:
-    """The number of samples whose image takes a rival about `goal` seconds: measured at one and at eight."""
+    """The number of samples that take a rival about `goal` seconds: doubled until they do, then interpolated."""
     renderer.image(out, 1, SEED, camera=view)
-    one, eight = (renderer.image(out, n, SEED, camera=view)[1]["render_s"] for n in (1, 8))
-    each = max((eight - one) / 7.0, 1e-4)
-    return max(1, round(1 + (goal - one) / each))
+    n, before = 1, 0.0
+    while n < MOST:
+        seconds = renderer.image(out, n, SEED, camera=view)[1]["render_s"]
+        if seconds >= goal:
+            return max(1, round(n / 2 * (1 + (goal - before) / max(seconds - before, 1e-6)))) if n > 1 else 1
+        n, before = 2 * n, seconds
+    return n
 
 
 def measure(subject: str, o) -> tuple[list[dict], dict[str, np.ndarray]]:

@@ -67,7 +67,7 @@ def source(name: str) -> Source:
         return Source(name, found.load, found.content, SIZE, found.overrides, "multires")
     if subject.build is None:
         return find(str(OWN / f"{name}.blend"))
-    content = text_hash([file_hash(_file(f)) for f in subject.files], _text(subject.build))
+    content = text_hash([file_hash(_file(f)) for f in subject.files], builder_text(subject.build))
     return Source(name, subject.build, content, SIZE, {}, "multires")
 
 
@@ -79,7 +79,7 @@ def _file(name: str) -> Path:
     return folder / rest
 
 
-def _text(build: Callable) -> str:
+def builder_text(build: Callable) -> str:
     """The source of a builder and of all in its module that it names, directly or not: a change of one scene leaves
     the references of the others.
     """

@@ -39,7 +39,9 @@ class Rival(Job):
         if order.get("camera") is not None:
             item = bpy.context.scene.camera
             if self.camera is None:
-                self.camera = item.matrix_world.normalized()
+                bpy.context.view_layer.update()  # a scene that was just built has no matrices yet
+                place, turn, _ = item.matrix_world.decompose()
+                self.camera = Matrix.LocRotScale(place, turn, None)
             item.matrix_world = self.camera @ Matrix(order["camera"])
         return self.render(order["seed"], order["out"])
 
