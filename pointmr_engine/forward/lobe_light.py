@@ -32,7 +32,7 @@ from pointmr_engine.shading.bsdf.layout import (
     TRANSLUCENT,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.setup import albedo
+from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
 from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
 from pointmr_engine.shading.lobes import evaluate
 
@@ -251,13 +251,9 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, ar
                 rough = math.sqrt(
                     np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y])
                 )
-            # the lobe's albedo, of which SAMPLE is the mean, lost energy given back
-            total = (
-                w[0] * (reflected[0] + transmitted[0])
-                + w[1] * (reflected[1] + transmitted[1])
-                + w[2] * (reflected[2] + transmitted[2])
-            ) / 3.0
-            share = np.float64(lobes.data[k, j, SAMPLE]) / total if total > 0.0 else 0.0
+            share = 1.0
+            if base != ASHIKHMIN_SHIRLEY:
+                share = single_scattering(kind, lobes.data, np.int64(k), np.int64(j), tables, cosine)
             w = (w[0] * share, w[1] * share, w[2] * share)
             if reflected[0] + reflected[1] + reflected[2] > 0.0 and base != REFRACTION:
                 mirror = (

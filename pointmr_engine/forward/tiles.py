@@ -40,12 +40,18 @@ class Workspace:
         self.placed = allocate_placement_values(0)
         self.light = np.empty((side * side, 3), np.float32)
         self.sums = np.empty((image.tile, 4 * side), np.float32)
-        self.empty = np.zeros((side // image.subpixels + 1,) * 2, np.uint8)
+        self.cell = self.cell_of(image)
+        self.empty = np.zeros((side // self.cell + 1,) * 2, np.uint8)
         self.normals = np.empty((1 << 12, 9))
         self.line = np.empty((side, 4), np.float32)
         self.corners = np.empty((3, 3))
         self.background = np.zeros((image.tile + 2 * image.apron,) * 2 + (4,), np.float32)
         self.begin(image)
+
+    @staticmethod
+    def cell_of(image) -> int:
+        """Subpixels per side of the cells in each of which a large triangle has a fragment of its own: a pixel."""
+        return image.subpixels
 
     def begin(self, image) -> None:
         """Turn to another image, for which these buffers fit (method.Image.fits)."""
@@ -106,7 +112,7 @@ class Workspace:
             self.target, np.int64(self.width), np.int64(self.height), self.scratch.entries.surfel
         )
         count = find_fragments(
-            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.image.subpixels),
+            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
             self.scratch.entries, self.fragment_of, self.empty, self.fragments,
         )  # fmt: skip
         self._fill(hierarchy, count)
@@ -197,7 +203,8 @@ class Workspace:
         """World radiance of the tile's pixels that are not covered whole."""
         image, s = self.image, self.image.subpixels
         rows, columns = self.height // s, self.width // s
-        empty = self.empty[:rows, :columns]
+        n = s // self.cell
+        empty = self.empty[: n * rows, : n * columns].reshape(rows, n, columns, n).any((1, 3))
         self.background[:rows, :columns] = 0
         if image.settings.film_transparent or not empty.any():
             return

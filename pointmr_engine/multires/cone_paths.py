@@ -15,21 +15,26 @@ from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.forward.lobe_light import shade_lamps, shade_world, widen_by_normals
 from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.hierarchy.prefilter import prefilter
+from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones, allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths, close_transparency
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
+from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, weigh_sub_rays
 from pointmr_engine.multires.scatter import WEAK, keep_lobes, scatter_lobes
 from pointmr_engine.multires.world_cones import FACES, WorldCells, open_shares, world_cones
 from pointmr_engine.numerics.jit import uncounted
-from pointmr_engine.raytracing import paths
+from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import DISTANT, POINT, compile_lamps
 from pointmr_engine.raytracing.paths import BACKDROP
+from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import CAMERA, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_DIFFUSE, HAS_TRANSMISSION
 
 _WEIGHTS = cell_weights()
+ROOM = 4 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
+MOST = 6  # fragments of a cone
 OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
 
 
@@ -43,8 +48,12 @@ class ConeLight:
         self.cells = WorldCells(world.diffuse)
         self.acceleration = stage.acceleration
         if sampler.prefiltered is None:
-            sampler.prefiltered = prefilter(stage.acceleration, mean_opacity(sampler))
-        self.prefiltered = sampler.prefiltered
+            opacity = mean_opacity(sampler)
+            whole = prefilter(stage.acceleration)
+            clear = whole if (opacity == 1.0).all() else prefilter(stage.acceleration, opacity)
+            sampler.prefiltered = clear, whole
+        # shadows pass what is transparent by its mean opacity; lobes see surfaces, whose shading lets them through
+        self.prefiltered, self.prefiltered_whole = sampler.prefiltered
         self.lights = stage.lights
         self.emitters = stage.lights.emitters_alone
 
@@ -88,8 +97,8 @@ class ConePaths(FragmentPaths):
     """One thread's paths by cones. light: method.ConeLight, what all threads share."""
 
     def __init__(self, stage, light):
-        super().__init__(light.stage(stage))
-        n = BATCH
+        super().__init__(light.stage(stage), ROOM)
+        n = ROOM
         self.light = light
         self.width = np.empty(n, np.float32)
         self.both = np.empty(n, np.bool_)
@@ -97,10 +106,15 @@ class ConePaths(FragmentPaths):
         self.ones = np.ones(n)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
-        self.cones, self.lobe_cones, self.next_cones = (allocate_cones(n) for _ in range(3))
+        self.shifts = np.empty((n, 2))
+        self.cones = allocate_cones(n)
+        self.lobe_cones, self.next_cones = (allocate_lobe_cones(n, allocate_cones(n)) for _ in range(2))
+        self.met = paths.allocate_paths(n, self.stage.camera.camera_from_world)
+        self.met_fragments = allocate_fragments(n)
+        self.escaped = np.empty(n, np.uint64)
+        self.then = self.met
         self.masks = np.empty(n, np.uint64)
         self.lobe_alpha = np.zeros(n, np.float32)
-        self.next_alpha = np.zeros(n, np.float32)
         self.going = 0
 
     def shaded(self, now, n: int, bounce: int) -> None:
@@ -120,8 +134,8 @@ class ConePaths(FragmentPaths):
         lobes.count[:n][~alive] = 0
         keep_lobes(lobes, self.alpha, False, count)
         self.received[:n] = 0.0
-        np.multiply(now.state.spread[:n], self.hits.t[:n], out=self.width[:n], casting="same_kind")
-        self.width[:n] += now.state.width[:n]
+        reach = np.where(np.isfinite(self.hits.t[:n]), self.hits.t[:n], 0.0)
+        self.width[:n] = now.state.width[:n] + now.state.spread[:n] * reach
         np.not_equal(lobes.flags[:n] & HAS_TRANSMISSION, 0, out=self.both[:n])
         lamps = self.light.lamps
         if len(lamps.shape):
@@ -149,13 +163,13 @@ class ConePaths(FragmentPaths):
         self.share[i, :n] = 1.0
         m = lamp_cones(
             lamps, np.int64(i), self.frames.position, self.lobes.geometric_normal, self.both, self.width,
-            self.frames.offset, self.lobes.count, np.int64(n), self.cones, self.rows,
+            self.frames.offset, self.lobes.count, np.int64(n), self.cones, self.rows, self.shifts,
         )  # fmt: skip
         if not m:
             return
         self.counters["sharp_cones" if lamps.shape[i] in (POINT, DISTANT) else "area_cones"] += m
         self.light.blocked(self.cones, m, self.masks)
-        take_shares(self.masks, _WEIGHTS, lamps.shape[i], self.rows, np.int64(m), self.share[i])
+        take_shares(self.masks, _WEIGHTS, lamps.shape[i], self.rows, self.shifts, np.int64(m), self.share[i])
 
     def _open(self, n: int) -> np.ndarray:
         """(n, 2, 3) shares of the world's light in front of points 0..n and behind them."""
@@ -179,14 +193,13 @@ class ConePaths(FragmentPaths):
         return share
 
     def _scatter(self, now, n: int, alive, bounce: int) -> None:
-        """Paths behind the surfaces, into the other queue."""
-        then = self.queues[1] if now is self.queues[0] else self.queues[0]
+        """Paths behind the surfaces, and their cones."""
         weak = WEAK
         while True:
             self.going = scatter_lobes(
                 now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
-                self.stage.shader.tables, np.int64(bounce), weak, alive, np.int64(n), np.int64(BATCH), then,
-                self.next_cones, self.next_alpha,
+                self.stage.shader.tables, np.int64(bounce), weak, alive, np.int64(n), np.int64(ROOM // 3), self.then,
+                self.next_cones,
             )  # fmt: skip
             if self.going >= 0:
                 break
@@ -198,9 +211,34 @@ class ConePaths(FragmentPaths):
         """Nothing: `_direct_light` has done it, for it drops lobes."""
 
     def move(self, now, then, n: int, alive) -> int:
-        self.lobe_alpha, self.next_alpha = self.next_alpha, self.lobe_alpha
         self.lobe_cones, self.next_cones = self.next_cones, self.lobe_cones
         return self.going
+
+    def meet(self, tile, now, then, n: int, bounce: int) -> int:
+        self.then = then
+        return super().meet(tile, now, then, n, bounce)
+
+    def _bounce(self, tile, now, then, n: int, bounce: int) -> int:
+        """What the cones of n paths see is met; returns how many paths go on from there, in `then`."""
+        light, lobes, met, hits = self.light, self.lobe_cones, self.met, self.hits
+        weigh_sub_rays(lobes, np.int64(n))
+        most = max(1, min(MOST, ROOM // n - 1))
+        merging = Merging(most=most, seed=self.stage.settings.seed + bounce)
+        met.rays.skip_triangle[:] = -1
+        count = gather(
+            light.acceleration, light.prefiltered_whole, lobes.cones, self.met_fragments, met.rays, hits, self.escaped,
+            None, 0, n, merging=merging,
+        )  # fmt: skip
+        counts = follow_cones(
+            now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
+            self.lobe_alpha,
+        )  # fmt: skip
+        total = sum(counts)
+        if counts[2]:
+            walk.intersect(light.acceleration, met.rays, hits, total - counts[2], total)
+        self.counters["lobe_fragments"] += counts[0]
+        frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
+        return self.meet(tile, met, now, total, bounce) if total else 0
 
     def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:
         """What camera rays and lobes see besides surfaces: lamps, where nothing widens the view, and the world."""

@@ -20,10 +20,8 @@ from pointmr_engine.raytracing import paths
 from pointmr_engine.raytracing.integrator import Stage, Workspace
 from pointmr_engine.raytracing.surface import frames
 
-BATCH = 16384  # fragments at once
-LIFT = 0.5  # footprints: how far rays start above a surfel ...
+BATCH = 8192  # fragments at once
 CLUMP = 0.5  # flatness below which a piece has no normal of its own
-SKIP = 1.0  # ... and how far they go before they may hit something: the piece is not flat
 
 
 @uncounted
@@ -57,20 +55,6 @@ def start_rays(rays, hits, frame, count):
 
 
 @uncounted
-def lift_surfels(surfel, entry, first, count, width, rays, frame):
-    """Raise the starts of rays from fragments that stand for many triangles above them, on the viewer's side."""
-    for k in range(count):
-        if surfel[entry[first + k]] < 0:
-            continue
-        side = LIFT * width[k]
-        if frame.backfacing[k]:
-            side = -side
-        for a in range(3):
-            frame.position[k, a] += side * frame.geometric_normal[k, a]
-        frame.offset[k] = max(frame.offset[k], SKIP * width[k])
-
-
-@uncounted
 def close_transparency(lobes, throughput, count):
     """Take the transparency of points 0..count out: areas and cut-outs account for it."""
     for k in range(count):
@@ -86,9 +70,9 @@ def close_transparency(lobes, throughput, count):
 class FragmentPaths(Workspace):
     """One thread's paths from fragments. settings.samples of the stage says how much of a lobe one ray stands for."""
 
-    def __init__(self, stage: Stage):
-        super().__init__(stage, BATCH)
-        n = BATCH
+    def __init__(self, stage: Stage, room: int = 0):
+        n = max(room, BATCH)
+        super().__init__(stage, n)
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
         none = np.zeros((0, 3))
@@ -121,6 +105,7 @@ class FragmentPaths(Workspace):
         frame = self.frames
         frames(self.stage.shader.geometry, now.rays, hits, frame, 0, count)
         own = [a[:count].copy() for a in (frame.smooth_normal, frame.geometric_normal, frame.backfacing)]
+        position = frame.position[:count].copy()
         entries = space.scratch.entries
         surfel_frames(to_world, entries, f, first_, n_, now.rays, frame, self.flat, self.spread)
         # a clump faces all ways: the triangle that represents it stands for one of them
@@ -130,9 +115,14 @@ class FragmentPaths(Workspace):
         ):
             target[clump] = normals[clump]
         self.spread[clump] = 0.0
+        # rays leave a real point of the piece, with what is around it: its centroid may lie inside
+        frame.position[:count] = position
         start_rays(now.rays, hits, self.frames, n_)
-        now.state.spread[:count] = 0.0
-        lift_surfels(entries.surfel, f.entry, first_, n_, now.state.width, now.rays, self.frames)
+        if image.view.perspective:  # the footprint goes on growing behind mirrors
+            now.state.spread[:count] = now.state.width[:count] / np.maximum(hits.t[:count], 1e-30)
+            now.state.width[:count] = 0.0
+        else:
+            now.state.spread[:count] = 0.0
         n, bounce = self.meet(self.tile, now, then, count, 0), 0
         while n:
             now, then = then, now

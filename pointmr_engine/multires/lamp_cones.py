@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.cones import Cones
+from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     AX,
@@ -28,6 +29,7 @@ from pointmr_engine.raytracing.lamps import (
     PY,
     PZ,
     RADIUS,
+    RECTANGLE,
     SPHERE,
     SUN,
     UX,
@@ -39,6 +41,8 @@ from pointmr_engine.raytracing.lamps import (
 )
 from pointmr_engine.scene.group import SHADOW
 
+WIDER = 9.0 / 8.0  # cones of area lights: room for their cells to be shifted by half of one
+NEAR = 0.02  # footprints: what is nearer throws no shadow
 _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
 
 
@@ -76,9 +80,28 @@ def set_axes(cones, m, x, y, z, dx, dy, dz):
     cones.axes[m, 2, 0], cones.axes[m, 2, 1], cones.axes[m, 2, 2] = dx, dy, dz
 
 
+@device
+def jitter(x, y, z, width):
+    """Two numbers in [0, 1) that differ from point to point, but not with the place of the point in the image."""
+    scale = 8.0 / width if width > 0.0 else 1.0
+    a, b, c = (
+        np.int64(math.floor(x * scale)),
+        np.int64(math.floor(y * scale)),
+        np.int64(math.floor(z * scale)),
+    )
+    h = hash_u32(np.uint32(a & 0xFFFFFFFF))
+    h = hash_u32(np.uint32(h ^ np.uint32(b & 0xFFFFFFFF)))
+    h = hash_u32(np.uint32(h ^ np.uint32(c & 0xFFFFFFFF)))
+    return (h & np.uint32(0xFFFF)) / 65536.0, (h >> np.uint32(16)) / 65536.0
+
+
 @uncounted
-def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, count, cones: Cones, rows):
+def lamp_cones(
+    lamps, i, position, normal, both, width, offset, lobe_count, count, cones: Cones, rows, shifts
+):
     """Cones from points 0..count to lamp i, for those that it could light; returns how many, rows (N,) their points.
+
+    shifts (N, 2) float64: of area lights' cells, filled.
 
     position (N, 3) float64; normal (N, 3) float32, on the viewer's side; both (N,) bool: lit from behind as well;
     width (N,) float32: the points' footprints; offset (N,) float64: what is nearer throws no shadow.
@@ -91,7 +114,6 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
         px, py, pz = position[k, 0], position[k, 1], position[k, 2]
         distance = math.inf
         dx, dy, dz = -row[AX], -row[AY], -row[AZ]
-        half = np.float64(0.5) * width[k]
         wide_x = wide_y = 0.0
         ux, uy, uz = row[UX], row[UY], row[UZ]
         if shape == SUN:
@@ -124,13 +146,28 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
             continue
         rows[m] = k
         cones.origin[m, 0], cones.origin[m, 1], cones.origin[m, 2] = px, py, pz
+        turn = jitter(px, py, pz, width[k])
+        cones.start[m, 0] = cones.start[m, 1] = 0.0
+        cones.spread[m, 0], cones.spread[m, 1] = wide_x, wide_y
+        if shape == RECTANGLE or shape == ELLIPSE:
+            # the cells lie elsewhere on the lamp from point to point, lest their borders show
+            shift_x, shift_y = turn[0] - 0.5, turn[1] - 0.5
+            shifts[m, 0], shifts[m, 1] = shift_x, shift_y
+            cones.spread[m, 0], cones.spread[m, 1] = wide_x * WIDER, wide_y * WIDER
+            x, y, z = perpendicular(ux, uy, uz, dx, dy, dz)
+            a, b = 0.25 * WIDER * wide_x * shift_x, 0.25 * WIDER * wide_y * shift_y
+            ex, ey, ez = dy * z - dz * y, dz * x - dx * z, dx * y - dy * x
+            tx, ty, tz = dx + a * x + b * ex, dy + a * y + b * ey, dz + a * z + b * ez
+            inverse = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz)
+            dx, dy, dz = tx * inverse, ty * inverse, tz * inverse
+        elif wide_x > 0.0:
+            angle = 2.0 * math.pi * turn[0]
+            x, y, z = perpendicular(ux, uy, uz, dx, dy, dz)
+            ex, ey, ez = dy * z - dz * y, dz * x - dx * z, dx * y - dy * x
+            c, s = math.cos(angle), math.sin(angle)
+            ux, uy, uz = c * x + s * ex, c * y + s * ey, c * z + s * ez
         set_axes(cones, m, ux, uy, uz, dx, dy, dz)
-        cones.start[m, 0] = cones.start[m, 1] = half
-        shrink = 0.0 if distance == math.inf else half / distance
-        cones.spread[m, 0], cones.spread[m, 1] = wide_x - shrink, wide_y - shrink
-        # the cone begins on a plane across its axis: what lies below the surface is left out
-        slope = math.sqrt(max(1.0 - facing * facing, 0.0)) / max(abs(facing), 0.25)
-        cones.t_min[m] = max(offset[k], half * slope)
+        cones.t_min[m] = max(offset[k], NEAR * width[k])
         cones.t_max[m] = distance
         if distance < math.inf:
             cones.t_max[m] = distance * _SHORT - (row[RADIUS] if shape == SPHERE else 0.0)
@@ -139,22 +176,39 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
     return m
 
 
+@device
+def _overlap(i, shift):
+    """Share of cell i of 8 that the middle 8 / WIDER cells fill, the cells shifted by `shift` of one."""
+    low, high = i - 4.0 + shift, i - 3.0 + shift
+    edge = 4.0 / WIDER
+    return max(min(high, edge) - max(low, -edge), 0.0)
+
+
 @uncounted
-def take_shares(masks, weights, shape, rows, count, share):
+def take_shares(masks, weights, shape, rows, shifts, count, share):
     """share (N,) float32 of points rows[0..count]: what the blocked sub-rays in `masks` leave of a lamp.
 
-    weights: cell_weights().
+    weights: cell_weights(); shifts: of lamp_cones.
     """
     kind = np.int64(0)
-    if shape == SPHERE or shape == DISC or shape == ELLIPSE or shape == SUN:
+    if shape == SPHERE or shape == DISC or shape == SUN:
         kind = np.int64(1)
     for m in range(count):
         mask = masks[m]
         if mask == np.uint64(0):
             share[rows[m]] = 1.0
             continue
-        total = np.float32(0)
+        total, left = 0.0, 0.0
         for b in range(64):
+            w = np.float64(weights[kind, b])
+            if shape == RECTANGLE:
+                w = _overlap(b & 7, shifts[m, 0]) * _overlap(b >> 3, shifts[m, 1])
+            elif shape == ELLIPSE:
+                u = ((b & 7) - 3.5 + shifts[m, 0]) * (0.25 * WIDER)
+                v = ((b >> 3) - 3.5 + shifts[m, 1]) * (0.25 * WIDER)
+                # a cell is a quarter wide: the rim takes part of it
+                w = min(max((1.0 - math.sqrt(u * u + v * v)) / (0.25 * WIDER) + 0.5, 0.0), 1.0)
+            total += w
             if (mask >> np.uint64(b)) & np.uint64(1) == np.uint64(0):
-                total += weights[kind, b]
-        share[rows[m]] = total
+                left += w
+        share[rows[m]] = left / total if total > 0.0 else 1.0

@@ -21,6 +21,7 @@ from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 SUBPIXELS = 8  # per side of a cone
+CELL = 4  # subpixels per side of the part of a cone in which fragments merge
 DENSITY = 4.0  # samples per cone's footprint
 FRAGMENTS = 4  # of a cone, about: what one ray of a fragment's lobes stands for
 
@@ -46,12 +47,24 @@ class TracedImage(Image):
         self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
         super().__init__(sampler, scene, stage.camera, primary_settings(settings))
         side = math.isqrt(settings.raytrace.cones)
-        self.footprint = self.pixel / side  # of a cone
+        self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
+        self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
+        if stage.needs.lens:
+            from pointmr_engine.multires.lens_tiles import split_lens
+
+            split_lens(self)
 
     def choose_shading(self):
         return TracedShading(self)
+
+    @property
+    def fits(self) -> tuple:
+        return *super().fits, self.space_of.__name__, self.tile, len(self.views)
+
+    def needs(self) -> dict:
+        return super().needs() | {"lens": self.stage.needs.lens, "lens_views": max(len(self.views), 1)}
 
 
 class TracedShading:
@@ -62,14 +75,18 @@ class TracedShading:
 
     def shade(self, space: TracedTiles, hierarchy, count: int) -> None:
         """Fill space.light[:count]; see forward.materials.FullShading."""
+        paths, values = self.paths(space), space.placement_values(hierarchy)
+        space.used[:] = 0
+        for first in range(0, count, BATCH):
+            paths.trace(space, hierarchy, values, first, min(BATCH, count - first))
+
+    def paths(self, space: TracedTiles) -> FragmentPaths:
+        """The thread's paths, made when it first shades."""
         if space.shading is None:
             image = self.image
             light = image.light
             space.shading = FragmentPaths(image.stage) if light is None else ConePaths(image.stage, light)
-        values = space.placement_values(hierarchy)
-        space.used[:] = 0
-        for first in range(0, count, BATCH):
-            space.shading.trace(space, hierarchy, values, first, min(BATCH, count - first))
+        return space.shading
 
 
 class TracedTiles(Workspace):
@@ -79,13 +96,17 @@ class TracedTiles(Workspace):
         super().__init__(image)
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
-        side = len(self.target.ids) // image.subpixels
+        side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)
+
+    @staticmethod
+    def cell_of(image) -> int:
+        return CELL
 
     def _fragments(self, hierarchy) -> int:
         count = super()._fragments(hierarchy)
         image = self.image
         return merge_fragments(
-            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(image.subpixels),
-            image.view.perspective, np.float64(image.pixel), self.fragments, np.int64(count), self.into, self.largest,
+            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
+            image.view.perspective, np.float64(image.footprint), self.fragments, np.int64(count), self.into, self.largest,
         )  # fmt: skip

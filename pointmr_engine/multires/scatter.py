@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.lobe_light import _towards_normal
-from pointmr_engine.multires.lamp_cones import set_axes
+from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, THROUGH
@@ -26,17 +26,21 @@ from pointmr_engine.shading.bsdf.layout import (
     KIND_MASK,
     NORMAL,
     REFRACTION,
-    SAMPLE,
     SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.setup import albedo
+from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 from pointmr_engine.shading.points import RAY_GLOSSY, RAY_REFLECTION, RAY_SINGULAR, RAY_TRANSMISSION
 
-WIDE = 4.0  # half width of a lobe's cone, in slopes of its roughness: what lies beyond is left out
-WIDEST = 2.5  # tangent of a cone's half angle at most
+WIDE = 4.0  # half width of a lobe's cone, in slopes of its roughness: what lies beyond is left out ...
+CORE, REST = (
+    2.0,
+    10.0,
+)  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
+WIDEST = 3.0  # tangent of a cone's half angle at most
+STRONG = 0.1  # weight from which a lobe matters
 WEAK = 0.03  # weights below it go on by chance
 
 
@@ -87,27 +91,47 @@ def _continue(
 
 
 @device
-def _open_cone(cones, m, out, wide, across, dx, dy, dz, ix, iy, iz):
-    """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it."""
+def _open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
+    """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it; grain: of its cells."""
     set_axes(cones, m, ix, iy, iz, dx, dy, dz)
     start, spread = 0.5 * out.state.width[m], 0.5 * out.state.spread[m]
+    if wide > 0.0:
+        # sub-rays leave elsewhere in the lobe from point to point, lest their cells show
+        o = out.rays.origin
+        turn = jitter(o[m, 0], o[m, 1], o[m, 2], out.state.width[m])
+        a = 0.25 * grain * (turn[0] - 0.5)
+        b = 0.25 * grain * across * (turn[1] - 0.5)
+        ax = cones.axes
+        dx, dy, dz = (
+            dx + a * ax[m, 0, 0] + b * ax[m, 1, 0],
+            dy + a * ax[m, 0, 1] + b * ax[m, 1, 1],
+            dz + a * ax[m, 0, 2] + b * ax[m, 1, 2],
+        )
+        inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+        set_axes(cones, m, ix, iy, iz, dx * inverse, dy * inverse, dz * inverse)
     for a in range(3):
         cones.origin[m, a] = out.rays.origin[m, a]
+    # a plane across the axis would begin below the surface: only mirrors need the footprint, and less of their way
+    steep = abs(ix * dx + iy * dy + iz * dz)
+    slope = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
+    if wide > 0.0:
+        start = 0.0
     cones.start[m, 0] = cones.start[m, 1] = start
     cones.spread[m, 0] = min(wide + spread, WIDEST)
     cones.spread[m, 1] = min(wide * across + spread, WIDEST)
-    cones.t_min[m], cones.t_max[m] = out.rays.t_min[m], out.rays.t_max[m]
+    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], start * slope)
+    cones.t_max[m] = out.rays.t_max[m]
     cones.visibility[m] = out.rays.visibility[m]
 
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, weak, alive, n, room,
-                  out, cones, alpha):  # fmt: skip
-    """Paths and cones behind the surfaces of paths 0..n, into out and cones; returns how many, -1 if over `room`.
+                  out, record):  # fmt: skip
+    """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many, -1 if over `room`.
 
-    Straight transparency is a path without a cone of its own: the ray goes on. alpha (M,) float32: the lobes'
-    roughness, -1 for what goes straight on. weak: weights below it go on by chance.
+    Straight transparency is a path without a cone of its own: the ray goes on. weak: weights below it go on by chance.
     """
+    cones, alpha = record.cones, record.alpha
     m = np.int64(0)
     for k in range(n):
         if not alive[k]:
@@ -123,6 +147,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     return -1
                 _pass(paths, k, out, m, hits, frames, limits, r * scale, g * scale, b * scale)
                 alpha[m] = -1
+                record.part[m] = 0
+                cones.t_min[m] = cones.t_max[m] = 0.0
                 m += 1
         wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
         for j in range(np.int64(lobes.count[k])):
@@ -140,12 +166,11 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 reflected, transmitted = albedo(
                     kind, lobes.data, np.int64(k), np.int64(j), tables_of_albedo, cosine
                 )
-            total = (
-                w[0] * (reflected[0] + transmitted[0])
-                + w[1] * (reflected[1] + transmitted[1])
-                + w[2] * (reflected[2] + transmitted[2])
-            ) / 3.0
-            share = np.float64(lobes.data[k, j, SAMPLE]) / total if total > 0.0 else 0.0
+            share = 1.0
+            if base != ASHIKHMIN_SHIRLEY:
+                share = single_scattering(
+                    kind, lobes.data, np.int64(k), np.int64(j), tables_of_albedo, cosine
+                )
             w = (w[0] * share * t[0], w[1] * share * t[1], w[2] * share * t[2])
             singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
             if base != REFRACTION:
@@ -166,10 +191,25 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                                   g * scale, b * scale, d[0], d[1], d[2], RAY_REFLECTION | RAY_GLOSSY | singular,
                                   np.int64(1), np.int64(0))  # fmt: skip
                         out.state.spread[m] = paths.state.spread[k]
-                        _open_cone(cones, m, out, WIDE * 2.0 * rough if not singular else 0.0, abs(cosine), d[0], d[1],
-                                   d[2], nm[0], nm[1], nm[2])  # fmt: skip
-                        alpha[m] = 0.0 if singular else rough
-                        m += 1
+                        two = not singular and max(r, g, b) > STRONG
+                        wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
+                        grain = wide
+                        for part in range(2 if two else 1):
+                            if part == 1:
+                                _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, r * scale,
+                                          g * scale, b * scale, d[0], d[1], d[2],
+                                          RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
+                                out.state.spread[m] = paths.state.spread[k]
+                                wide *= REST / CORE
+                            _open_cone(
+                                cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2]
+                            )
+                            alpha[m] = 0.0 if singular else rough
+                            record.part[m] = part + 1 if two else 0
+                            for c in range(3):
+                                record.normal[m, c] = nm[c]
+                                record.incoming[m, c] = wi[c]
+                            m += 1
             if base == REFRACTION or base == GLASS:
                 r, g, b = w[0] * transmitted[0], w[1] * transmitted[1], w[2] * transmitted[2]
                 go, scale = _survives(tables, seed, bounce, number, np.int64(2 * j + 2), max(r, g, b), weak)
@@ -190,9 +230,12 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                               np.int64(1))  # fmt: skip
                     out.state.spread[m] = paths.state.spread[k]
                     bend = abs(1.0 - inverse) * rough
-                    _open_cone(cones, m, out, WIDE * bend if not singular else 0.0, 1.0, d[0], d[1], d[2], nm[0],
-                               nm[1], nm[2])  # fmt: skip
+                    wide = 0.0 if singular else WIDE * bend
+                    _open_cone(cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
                     alpha[m] = 0.0 if singular else bend
+                    record.part[m] = 0
+                    for c in range(3):
+                        record.normal[m, c] = 0
                     m += 1
     return m
 

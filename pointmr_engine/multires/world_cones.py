@@ -11,6 +11,7 @@ import numpy as np
 
 from pointmr_engine.forward.world_light import WorldMaps, world_lobe
 from pointmr_engine.multires.cones import Cones
+from pointmr_engine.multires.lamp_cones import NEAR
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import DIFFUSE
 
@@ -89,10 +90,9 @@ def world_cones(axes, position, normal, wanted, both, width, offset, count, cone
                 cones.origin[m, a] = position[k, a]
                 for b in range(3):
                     cones.axes[m, a, b] = axes[f, a, b]
-            half = np.float64(0.5) * width[k]
-            cones.start[m, 0] = cones.start[m, 1] = half
+            cones.start[m, 0] = cones.start[m, 1] = 0.0
             cones.spread[m, 0] = cones.spread[m, 1] = 1.0
-            cones.t_min[m] = offset[k]
+            cones.t_min[m] = max(offset[k], NEAR * width[k])
             cones.t_max[m] = np.inf
             cones.visibility[m] = DIFFUSE
             m += 1

@@ -165,6 +165,28 @@ def _darkened(fss, e_average, missing):
 
 
 @device
+def _inverse_side(ior):
+    """(variant of the tables of glass, its index of refraction above 1)."""
+    if ior < 1.0:
+        return ONLY + 1, 1.0 / ior
+    return ONLY, ior
+
+
+@device
+def single_scattering(kind, data, i, j, tables, cos_ni):
+    """Share of the light that leaves a microfacet lobe after one bounce, its Fresnel term and weight left out."""
+    base = kind & KIND_MASK
+    if kind & BECKMANN or base == REFRACTION:
+        return 1.0
+    roughness = _roughness(data, i, j)
+    if base == GLASS:
+        side, ior = _inverse_side(np.float64(data[i, j, IOR]))
+        z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
+        return lookup3(tables.glass, side, z, cos_ni, roughness)
+    return lookup2(tables.ggx, ONLY, cos_ni, roughness)
+
+
+@device
 def finish_microfacet(kind, data, i, j, tables, wi, compensate, fss):
     """Sampling weight and energy compensation of a complete GGX or Beckmann lobe.
 
@@ -180,17 +202,12 @@ def finish_microfacet(kind, data, i, j, tables, wi, compensate, fss):
     gain = 1.0
     if compensate and not kind & BECKMANN:
         roughness = _roughness(data, i, j)
+        e = single_scattering(kind, data, i, j, tables, cos_ni)
         if kind & KIND_MASK == GLASS:
-            ior = np.float64(data[i, j, IOR])
-            side = ONLY
-            if ior < 1.0:
-                ior = 1.0 / ior
-                side = ONLY + 1
+            side, ior = _inverse_side(np.float64(data[i, j, IOR]))
             z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
-            e = lookup3(tables.glass, side, z, cos_ni, roughness)
             e_average = lookup2(tables.glass_average, side, z, roughness)
         else:
-            e = lookup2(tables.ggx, ONLY, cos_ni, roughness)
             e_average = lookup2(tables.ggx_average, ONLY, 0.0, roughness)
         missing = (1.0 - e) / e
         if fss[0] < 0.0:

@@ -1,0 +1,215 @@
+"""What the cones of lobes see: their fragments go on as paths, weighted by the part of the lobe that each one fills.
+
+A cone's 64 sub-rays are weighted by the lobe itself, a microfacet distribution seen from where the path comes, and not
+by a Gaussian that stands for it. What escapes goes on as one path to the world, narrowed to the open part of the lobe.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.multires.cones import Cones
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.raytracing.paths import Paths
+
+
+class LobeCones(NamedTuple):
+    """The cones of N paths, and the lobes that they stand for."""
+
+    cones: Cones
+    alpha: np.ndarray  # (N,) float32 roughness: 0 a mirror, or clear; -1: no cone, the ray goes straight on
+    normal: np.ndarray  # (N, 3) float32 of the lobe where it reflects; 0 where it transmits
+    incoming: np.ndarray  # (N, 3) float32 to where the path came from
+    # (N,) int8: 0 the whole lobe; 1 its core, whose next row is 2: what the same lobe sends beside its core
+    part: np.ndarray
+    weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
+
+
+def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
+    """Room for n."""
+    f = np.float32
+    return LobeCones(
+        cones,
+        np.empty(n, f),
+        np.empty((n, 3), f),
+        np.empty((n, 3), f),
+        np.zeros(n, np.int8),
+        np.empty((n, 64), f),
+    )
+
+
+@device
+def _smith(cosine, alpha2):
+    """Twice the visible share of facets, over the cosine (Smith; GGX)."""
+    return 2.0 / (cosine + math.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine))
+
+
+@device
+def _in_core(c, m, x, y, z):
+    """Whether a direction lies in the square that cone m covers."""
+    t = x * c.axes[m, 2, 0] + y * c.axes[m, 2, 1] + z * c.axes[m, 2, 2]
+    u = x * c.axes[m, 0, 0] + y * c.axes[m, 0, 1] + z * c.axes[m, 0, 2]
+    v = x * c.axes[m, 1, 0] + y * c.axes[m, 1, 1] + z * c.axes[m, 1, 2]
+    return t > 0.0 and abs(u) <= c.spread[m, 0] * t and abs(v) <= c.spread[m, 1] * t
+
+
+@device
+def _weigh(lobes: LobeCones, m):
+    """Fill the weights of cone m by what its lobe sends through the sub-rays' cells; returns their sum."""
+    c = lobes.cones
+    alpha = np.float64(lobes.alpha[m])
+    alpha2 = alpha * alpha
+    nx, ny, nz = (
+        np.float64(lobes.normal[m, 0]),
+        np.float64(lobes.normal[m, 1]),
+        np.float64(lobes.normal[m, 2]),
+    )
+    reflects = nx * nx + ny * ny + nz * nz > 0.0
+    ix, iy, iz = (
+        np.float64(lobes.incoming[m, 0]),
+        np.float64(lobes.incoming[m, 1]),
+        np.float64(lobes.incoming[m, 2]),
+    )
+    rest = lobes.part[m] == 2
+    cell = c.spread[m, 0] * c.spread[m, 1]
+    total = 0.0
+    for b in range(64):
+        u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
+        v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
+        square = 1.0 + u * u + v * v
+        w = cell * square**-1.5
+        if reflects:
+            inverse = 1.0 / math.sqrt(square)
+            dx = (c.axes[m, 2, 0] + u * c.axes[m, 0, 0] + v * c.axes[m, 1, 0]) * inverse
+            dy = (c.axes[m, 2, 1] + u * c.axes[m, 0, 1] + v * c.axes[m, 1, 1]) * inverse
+            dz = (c.axes[m, 2, 2] + u * c.axes[m, 0, 2] + v * c.axes[m, 1, 2]) * inverse
+            cosine = nx * dx + ny * dy + nz * dz
+            if cosine <= 0.0 or (rest and _in_core(c, m - 1, dx, dy, dz)):
+                w = 0.0
+            else:
+                hx, hy, hz = dx + ix, dy + iy, dz + iz
+                h = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
+                d = h * h * (alpha2 - 1.0) + 1.0
+                w *= cosine * _smith(cosine, alpha2) / (d * d)
+        else:
+            r2 = (u * u + v * v) / (4.0 * alpha2)
+            w /= (1.0 + r2) * (1.0 + r2)
+        lobes.weights[m, b] = w
+        total += w
+    return total
+
+
+@uncounted
+def weigh_sub_rays(lobes: LobeCones, count):
+    """Weights of the sub-rays of cones 0..count: equal for mirrors, by GGX for rough lobes."""
+    total = 0.0
+    for m in range(count):
+        if lobes.alpha[m] <= 0.0:
+            for b in range(64):
+                lobes.weights[m, b] = np.float32(1.0 / 64.0)
+            continue
+        first = m - 1 if lobes.part[m] == 2 else m
+        total = _weigh(lobes, np.int64(m)) + (total if first < m else 0.0)
+        if lobes.part[m] == 1:
+            continue
+        scale = np.float32(1.0 / total) if total > 0.0 else np.float32(0)
+        for k in range(first, m + 1):
+            for b in range(64):
+                lobes.weights[k, b] *= scale
+
+
+@device
+def _copy_path(paths: Paths, k, weight, out: Paths, m):
+    """Row m of out becomes path k with a share of its throughput; its ray is left alone."""
+    a, s = paths.state, out.state
+    for c in range(3):
+        out.throughput[m, c] = paths.throughput[k, c] * weight
+        out.origin_normal[m, c] = paths.origin_normal[k, c]
+    out.bsdf_pdf[m] = paths.bsdf_pdf[k]
+    out.origin_transmissive[m] = paths.origin_transmissive[k]
+    out.flags[m] = paths.flags[k]
+    out.slot[m] = paths.slot[k]
+    s.kind[m] = a.kind[k]
+    s.depth[m] = a.depth[k]
+    s.diffuse_depth[m] = a.diffuse_depth[k]
+    s.glossy_depth[m] = a.glossy_depth[k]
+    s.transmission_depth[m] = a.transmission_depth[k]
+    s.transparent_depth[m] = a.transparent_depth[k]
+    s.length[m] = a.length[k]
+    s.width[m] = a.width[k]
+    s.spread[m] = a.spread[k]
+
+
+@device
+def _copy_ray(rays, k, out, m):
+    for c in range(3):
+        out.origin[m, c] = rays.origin[k, c]
+        out.direction[m, c] = rays.direction[k, c]
+    out.t_min[m] = rays.t_min[k]
+    out.t_max[m] = rays.t_max[k]
+    out.visibility[m] = rays.visibility[k]
+    out.skip_triangle[m] = rays.skip_triangle[k]
+    out.skip_path[m] = rays.skip_path[k]
+
+
+@device
+def _look(lobes: LobeCones, k, mask):
+    """(weight, mean direction) of the sub-rays `mask` of cone k."""
+    c = lobes.cones
+    total, u, v = 0.0, 0.0, 0.0
+    for b in range(64):
+        if (mask >> np.uint64(b)) & np.uint64(1):
+            w = np.float64(lobes.weights[k, b])
+            total += w
+            u += w * (((b & 7) + 0.5) * 0.25 - 1.0)
+            v += w * (((b >> 3) + 0.5) * 0.25 - 1.0)
+    if total > 0.0:
+        u, v = u / total * c.spread[k, 0], v / total * c.spread[k, 1]
+    x = c.axes[k, 2, 0] + u * c.axes[k, 0, 0] + v * c.axes[k, 1, 0]
+    y = c.axes[k, 2, 1] + u * c.axes[k, 0, 1] + v * c.axes[k, 1, 1]
+    z = c.axes[k, 2, 2] + u * c.axes[k, 0, 2] + v * c.axes[k, 1, 2]
+    inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return total, x * inverse, y * inverse, z * inverse
+
+
+@uncounted
+def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, room, out: Paths, hits, alpha):
+    """Paths for what the cones of paths 0..n see, into out; returns (rows of hits, of escapes, of straight rays).
+
+    fragments: count rows of cone_hits.gather, whose rays and hits are rows 0..count of out.rays and hits already. alpha
+    (M,) float32: roughness of what is left of the lobe in each row. Straight rays have yet to be walked.
+    """
+    for r in range(count):
+        k = np.int64(fragments.cone[r])
+        weight, _, _, _ = _look(lobes, k, fragments.mask[r])
+        _copy_path(paths, k, weight, out, np.int64(r))
+        out.rays.visibility[r] = paths.rays.visibility[k]
+        share = math.sqrt(min(weight, 1.0))
+        a = max(np.float64(lobes.alpha[k]), 0.0)
+        out.state.spread[r] += 2.0 * a * share
+        alpha[r] = a * share
+    m = np.int64(count)
+    for k in range(n):
+        if lobes.alpha[k] < 0 or escaped[k] == np.uint64(0) or m >= room:
+            continue
+        weight, x, y, z = _look(lobes, np.int64(k), escaped[k])
+        if not weight > 0.0:
+            continue
+        _copy_path(paths, np.int64(k), weight, out, m)
+        _copy_ray(paths.rays, np.int64(k), out.rays, m)
+        out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = x, y, z
+        alpha[m] = lobes.alpha[k] * math.sqrt(min(weight, 1.0))
+        hits.triangle[m] = -1
+        hits.t[m] = math.inf
+        m += 1
+    escapes = m - count
+    for k in range(n):
+        if lobes.alpha[k] < 0 and m < room:
+            _copy_path(paths, np.int64(k), 1.0, out, m)
+            _copy_ray(paths.rays, np.int64(k), out.rays, m)
+            alpha[m] = 0
+            m += 1
+    return count, escapes, m - count - escapes
