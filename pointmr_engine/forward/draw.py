@@ -41,7 +41,7 @@ from pointmr_engine.forward.surfel_lanes import (
 )
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
-from pointmr_engine.numerics.simd_cover import farthest_row
+from pointmr_engine.numerics.simd_cover import is_open
 
 DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 
@@ -110,11 +110,11 @@ def box_is_behind(target, width, height, x0, y0, x1, y1, w):
     i0, i1 = np.int64(max(x0, zero)), np.int64(min(x1, width - one))
     j0, j1 = np.int64(max(y0, zero)), np.int64(min(y1, height - one))
     stride = np.int64(target.depth.shape[1])
-    if target.depth[(j0 + j1) >> 1, (i0 + i1) >> 1] <= w:
-        return False
-    count = (i1 - i0 + np.int64(WIDTH)) & ~np.int64(WIDTH - 1)
-    for j in range(j0, j1 + 1):
-        if farthest_row(target.address[0], j * stride + i0, count, np.float32(np.inf)) <= w:
+    if j0 > j1:
+        return True
+    start, rows = target.address[0], j1 + 1 - j0
+    for i in range(i0, i1 + 1, WIDTH):
+        if is_open(start, j0 * stride + i, stride, rows, min(np.int64(WIDTH), i1 + 1 - i), w) != 0:
             return False
     return True
 

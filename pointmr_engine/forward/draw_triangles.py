@@ -49,19 +49,14 @@ def draw_triangles(
                 np.float64(lanes[CORNER_Y + 1, k]),
                 np.float64(lanes[CORNER_Y + 2, k]),
             )
-            if box_is_behind(
-                target,
-                fw,
-                fh,
-                min(x[0], x[1], x[2]),
-                min(y[0], y[1], y[2]),
-                max(x[0], x[1], x[2]),
-                max(y[0], y[1], y[2]),
-                lanes[CORNER_FRONT, k],
-            ):
+            hole = cut_out_of(cut_outs, np.int64(items[start + k, 0]), np.int64(items[start + k, 1]))
+            # for what is no larger than the test's steps, drawing is the test
+            if (hole >= 0 or lanes[CORNER_SMALL, k] > WIDTH) and box_is_behind(
+                target, fw, fh, min(x[0], x[1], x[2]), min(y[0], y[1], y[2]), max(x[0], x[1], x[2]),
+                max(y[0], y[1], y[2]), lanes[CORNER_FRONT, k],
+            ):  # fmt: skip
                 continue
             lump = np.int64(1) if lanes[CORNER_SMALL, k] <= small else np.int64(0)
-            hole = cut_out_of(cut_outs, np.int64(items[start + k, 0]), np.int64(items[start + k, 1]))
             if hole >= 0:
                 triangle_to_camera(matrix, row, corners, start + k, work)
                 phase = ((start + k) * np.int64(40503) >> np.int64(7)) & np.int64(63)

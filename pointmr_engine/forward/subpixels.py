@@ -13,7 +13,12 @@ import numpy as np
 
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
-from pointmr_engine.numerics.simd_cover import cover_eight, farthest_row
+from pointmr_engine.numerics.simd_cover import (
+    cover_eight,
+    cover_eight_between,
+    cover_eight_within,
+    farthest_row,
+)
 from pointmr_engine.raytracing.camera import CameraArrays
 
 BLOCK = 16  # subpixels per side of a block, whose farthest depth occlusion culling reads
@@ -117,79 +122,88 @@ def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope
 
     Subpixel (i, j) is covered when its centre (i + 0.5, j + 0.5) is inside. slope_*: growth of nearness per subpixel.
     """
-    c = max(c, 1e-9)
-    reach = math.sqrt(c)
-    y0 = max(np.int64(math.ceil(y - reach - 0.5)), np.int64(0))
-    y1 = min(np.int64(math.floor(y + reach - 0.5)), height - 1)
-    lean = b / c
-    spread = max(a - b * lean, 0.0)
-    inverse = 1.0 / c
-    written = False
-    for j in range(y0, y1 + 1):
-        dy = j + 0.5 - y
-        half = math.sqrt(max(spread * (1.0 - dy * dy * inverse), 0.0))
-        middle = x + lean * dy - 0.5
-        x0 = max(np.int64(math.ceil(middle - half)), np.int64(0))
-        x1 = min(np.int64(math.floor(middle + half)), width - 1)
-        if x0 <= x1:
-            w = nearness + slope_y * dy + slope_x * (x0 + 0.5 - x)
-            if cover_run(target, j, x0, x1, w, slope_x, entry, opacity, phase):
-                written = True
-    return written
-
-
-@device
-def _edge(xa, ya, xb, yb):
-    """(x, y, growth of x per row) of an edge, the same from both triangles that share it, whatever their order."""
-    if ya > yb or (ya == yb and xa > xb):
-        xa, ya, xb, yb = xb, yb, xa, ya
-    return xa, ya, (xb - xa) / (yb - ya)
+    f, half, one = np.float32, np.float32(0.5), np.float32(1)
+    x, y, nearness, slope_x, slope_y = f(x), f(y), f(nearness), f(slope_x), f(slope_y)
+    a, b, c = max(f(a), f(1e-9)), f(b), max(f(c), f(1e-9))
+    wide, high = math.sqrt(a), math.sqrt(c)
+    # rows and columns whose centres the bounds reach; clipped twice, for int64 of what is not finite is below 0
+    top, right = y + high - half, x + wide - half
+    if top < f(0) or right < f(0):
+        return False
+    y0 = max(np.int64(min(y - high + half, f(height))), np.int64(0))
+    x0 = max(np.int64(min(x - wide + half, f(width))), np.int64(0))
+    y1, x1 = np.int64(min(top, f(height - 1))), np.int64(min(right, f(width - 1)))
+    inverse = one / c
+    lean = b * inverse
+    spread = max(a - b * lean, f(0))
+    stride = np.int64(target.depth.shape[1])
+    written = np.int64(0)
+    for first in range(x0, x1 + 1, WIDTH):
+        dx = f(first) + half - x
+        for j in range(y0, y1 + 1):
+            dy = f(j) + half - y
+            limits = target.address[2] + np.uint64(64 * ((j + (phase >> 3)) & 7) + 4 * ((first + phase) & 7))
+            written |= cover_eight_within(
+                target.address[0], target.address[1], j * stride + first, dx - lean * dy,
+                spread * (one - dy * dy * inverse), nearness + slope_y * dy + slope_x * dx, slope_x, entry, limits,
+                f(opacity),
+            )  # fmt: skip
+    return written != 0
 
 
 @device
 def cover_triangle(target, width, height, x, y, w, entry):
     """Draw a triangle with corners x, y, nearness w (three float64 each, in subpixels); whether anything was written.
 
-    Subpixels whose centres are inside, and of those on a shared edge each once.
+    Subpixels whose centres are inside, and of those on a shared edge each once: an edge is followed from its lower end,
+    whatever triangle it belongs to.
     """
+    f = np.float32
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     low, high = min(y[0], y[1], y[2]), max(y[0], y[1], y[2])
+    left, right = max(min(x[0], x[1], x[2]), 0.0), max(x[0], x[1], x[2])
     y0 = np.int64(max(math.ceil(low - 0.5), 0.0))
     y1 = np.int64(min(math.ceil(high - 0.5) - 1.0, height - 1.0))
-    if area == 0.0 or y0 > y1 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:
+    if area == 0.0 or y0 > y1 or right < 0.0 or left > width:
         return False
     scale = 1.0 / area
     slope_x = ((w[1] - w[0]) * (y[2] - y[0]) - (w[2] - w[0]) * (y[1] - y[0])) * scale
     slope_y = ((w[2] - w[0]) * (x[1] - x[0]) - (w[1] - w[0]) * (x[2] - x[0])) * scale
-    least, most = min(w[0], w[1], w[2]), max(w[0], w[1], w[2])
-    ax, ay, a = _edge(x[0], y[0], x[1], y[1])
-    bx, by, b = _edge(x[1], y[1], x[2], y[2])
-    cx, cy, c = _edge(x[2], y[2], x[0], y[0])
-    written = False
+    # a triangle thinner than rounding: stay between its corners
+    least, most = f(min(w[0], w[1], w[2])), f(max(w[0], w[1], w[2]))
+    xa, ya, xb, yb, xc, yc = x[0], y[0], x[1], y[1], x[2], y[2]
+    if _is_below(xb, yb, xa, ya):
+        xa, ya, xb, yb = xb, yb, xa, ya
+    if _is_below(xc, yc, xb, yb):
+        xb, yb, xc, yc = xc, yc, xb, yb
+    if _is_below(xb, yb, xa, ya):
+        xa, ya, xb, yb = xb, yb, xa, ya
+    whole, lower, upper = (xc - xa) / (yc - ya), (xb - xa) / (yb - ya), (xc - xb) / (yc - yb)
+    stride = np.int64(target.depth.shape[1])
+    column = max(np.int64(left), np.int64(0))
+    narrow = right - column <= WIDTH
+    written = np.int64(0)
     for j in range(y0, y1 + 1):
-        yc = j + 0.5
-        left, right = math.inf, -math.inf
-        if (y[0] <= yc) != (y[1] <= yc):
-            left = right = ax + (yc - ay) * a
-        if (y[1] <= yc) != (y[2] <= yc):
-            at = bx + (yc - by) * b
-            left, right = min(left, at), max(right, at)
-        if (y[2] <= yc) != (y[0] <= yc):
-            at = cx + (yc - cy) * c
-            left, right = min(left, at), max(right, at)
-        x0 = np.int64(max(math.ceil(left - 0.5), 0.0))
-        x1 = np.int64(min(math.ceil(right - 0.5) - 1.0, width - 1.0))
-        if x0 <= x1:
-            first = w[0] + slope_y * (yc - y[0]) + slope_x * (x0 + 0.5 - x[0])
-            step = slope_x
-            last = first + step * (x1 - x0)
-            if first < least or first > most or last < least or last > most:
-                # a triangle thinner than rounding: stay between its corners
-                first = min(max(first, least), most)
-                step = 0.0
-            if cover_run(target, j, x0, x1, first, step, entry, 2.0, np.int64(0)):
-                written = True
-    return written
+        at = j + 0.5
+        one = f(xa + (at - ya) * whole)
+        other = f(xa + (at - ya) * lower if at < yb else xb + (at - yb) * upper)
+        begin, end = min(one, other), max(one, other)
+        i = column if narrow else max(np.int64(min(begin, f(width))), np.int64(0))
+        last = min(end, f(width))
+        while i < last:
+            nearness = w[0] + slope_x * (i + 0.5 - x[0]) + slope_y * (at - y[0])
+            written |= cover_eight_between(
+                target.address[0], target.address[1], j * stride + i, f(i + 0.5), begin, end, f(nearness),
+                f(slope_x), least, most, entry,
+            )  # fmt: skip
+            i += WIDTH
+    return written != 0
+
+
+@device
+def _is_below(xa, ya, xb, yb):
+    """An order of points: by y, then by x."""
+    return ya < yb or (ya == yb and xa < xb)
 
 
 @device

@@ -72,8 +72,9 @@ def place_eight(typingctx, rows, first, constants, out):
         sy = constant(SHIFT_Y).plus_product(p[1] * scale, constant(FOCAL_Y))
         size = ((column(XX) + column(YY)) + column(ZZ)).sqrt() * constant(STRETCH) * REACH
         focal = constant(FOCAL_X).abs().at_least(constant(FOCAL_Y).abs())
-        # perspective makes what is off the view axis longer: at most by 1.5 in any view that is not a fisheye's
-        radius = size * focal * scale.abs()
+        # perspective makes what is off the view axis longer, along x by sqrt(1 + (x / z)^2)
+        off = (p[0] * scale).abs().at_least((p[1] * scale).abs()).where(perspective, 0.0)
+        radius = size * focal * scale.abs() * (t.constant(1.0) + off * off).sqrt()
         front = p[2] - size
         near = constant(NEAR)
         nearness = (
@@ -81,11 +82,11 @@ def place_eight(typingctx, rows, first, constants, out):
             .where(front > near, 3e38)
             .where(perspective, constant(DEPTH_SHIFT) - front * constant(DEPTH_SCALE))
         )
-        wide = radius * 1.5
         mask = builder.and_(p[2] > near, p[2] < constant(FAR))
-        mask = builder.and_(mask, builder.and_((sx + wide) > 0.0, (sy + wide) > 0.0))
+        mask = builder.and_(mask, builder.and_((sx + radius) > 0.0, (sy + radius) > 0.0))
         mask = builder.and_(
-            mask, builder.and_((sx - wide) < constant(WIDTH_OF_TILE), (sy - wide) < constant(HEIGHT_OF_TILE))
+            mask,
+            builder.and_((sx - radius) < constant(WIDTH_OF_TILE), (sy - radius) < constant(HEIGHT_OF_TILE)),
         )
         for row, term in (
             (PX, p[0]),

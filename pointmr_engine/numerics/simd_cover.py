@@ -6,10 +6,59 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from pointmr_engine.numerics.simd import WIDTH, _bits, _f32, _i64, _load, _muladd, _splat, _store, _vector
+from pointmr_engine.numerics.simd import (
+    WIDTH,
+    _bits,
+    _f32,
+    _i64,
+    _larger,
+    _load,
+    _muladd,
+    _smaller,
+    _splat,
+    _store,
+    _vector,
+)  # fmt: skip
 
 _i32 = ir.IntType(32)
 _integers = ir.VectorType(_i32, WIDTH)
+
+
+def _lanes_splat(builder, scalar):
+    """An int64 as int32 in all lanes."""
+    low = builder.trunc(scalar, _i32)
+    one = builder.insert_element(ir.Constant(_integers, ir.Undefined), low, ir.Constant(_i32, 0))
+    return builder.shuffle_vector(
+        one, ir.Constant(_integers, ir.Undefined), ir.Constant(_integers, [0] * WIDTH)
+    )
+
+
+def _first(builder, count):
+    """Mask of the first `count` lanes."""
+    lanes = ir.Constant(_integers, list(range(WIDTH)))
+    return builder.icmp_signed("<", lanes, _lanes_splat(builder, count))
+
+
+def _ramp(builder, start, step):
+    """start, start + step, start + 2 step ..."""
+    lanes = ir.Constant(_vector, [float(k) for k in range(WIDTH)])
+    return _muladd(builder, lanes, _splat(builder, step), _splat(builder, start))
+
+
+def _write(builder, depth, ids, offset, inside, nearness, entry):
+    """Write nearness and entry at eight subpixels where `inside` is set and they are nearer; mask of those written."""
+    depths = builder.inttoptr(depth, _f32.as_pointer())
+    numbers = builder.inttoptr(ids, _i32.as_pointer())
+    old = _load(builder, depths, offset)
+    mask = builder.and_(inside, builder.fcmp_ordered(">", nearness, old))
+    bits = _bits(builder, mask)
+    with builder.if_then(builder.icmp_unsigned("!=", bits, ir.Constant(_i64, 0))):
+        _store(builder, builder.select(mask, nearness, old), depths, offset)
+        pointer = builder.bitcast(builder.gep(numbers, [offset]), _integers.as_pointer())
+        before = builder.load(pointer)
+        before.align = 4
+        builder.store(builder.select(mask, _lanes_splat(builder, entry), before), pointer).align = 4
+    return bits
 
 
 @intrinsic
@@ -24,33 +73,90 @@ def cover_eight(typingctx, depth, ids, offset, count, nearness, slope, entry, th
     f, i = types.float32, types.int64
 
     def codegen(context, builder, signature, args):
-        depths = builder.inttoptr(args[0], _f32.as_pointer())
-        numbers = builder.inttoptr(args[1], _i32.as_pointer())
         limits = builder.inttoptr(args[7], _f32.as_pointer())
-        lane = ir.Constant(_vector, [float(k) for k in range(WIDTH)])
-        new = _muladd(builder, lane, _splat(builder, args[5]), _splat(builder, args[4]))
-        old = _load(builder, depths, args[2])
-        count = builder.trunc(args[3], _i32)
-        one = builder.insert_element(ir.Constant(_integers, ir.Undefined), count, ir.Constant(_i32, 0))
-        zeros = ir.Constant(_integers, [0] * WIDTH)
-        counts = builder.shuffle_vector(one, ir.Constant(_integers, ir.Undefined), zeros)
-        inside = builder.icmp_signed("<", ir.Constant(_integers, list(range(WIDTH))), counts)
         drawn = builder.fcmp_ordered(
             "<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[8])
         )
-        mask = builder.and_(builder.and_(inside, drawn), builder.fcmp_ordered(">", new, old))
-        _store(builder, builder.select(mask, new, old), depths, args[2])
-        pointer = builder.bitcast(builder.gep(numbers, [args[2]]), _integers.as_pointer())
-        before = builder.load(pointer)
-        before.align = 4
-        number = builder.insert_element(
-            ir.Constant(_integers, ir.Undefined), builder.trunc(args[6], _i32), ir.Constant(_i32, 0)
-        )
-        numbers8 = builder.shuffle_vector(number, ir.Constant(_integers, ir.Undefined), zeros)
-        builder.store(builder.select(mask, numbers8, before), pointer).align = 4
-        return _bits(builder, mask)
+        inside = builder.and_(_first(builder, args[3]), drawn)
+        return _write(builder, args[0], args[1], args[2], inside, _ramp(builder, args[4], args[5]), args[6])
 
     return types.int64(types.uint64, types.uint64, i, i, f, f, i, types.uint64, f), codegen
+
+
+@intrinsic
+def cover_eight_within(
+    typingctx, depth, ids, offset, shift, reach, nearness, slope, entry, threshold, opacity
+):
+    """As cover_eight, at those of eight subpixels k = 0 .. 7 with (shift + k)^2 <= reach (float32)."""
+    f, i = types.float32, types.int64
+
+    def codegen(context, builder, signature, args):
+        limits = builder.inttoptr(args[8], _f32.as_pointer())
+        drawn = builder.fcmp_ordered(
+            "<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[9])
+        )
+        away = builder.fadd(ir.Constant(_vector, [float(k) for k in range(WIDTH)]), _splat(builder, args[3]))
+        within = builder.fcmp_ordered("<=", builder.fmul(away, away), _splat(builder, args[4]))
+        return _write(
+            builder, args[0], args[1], args[2], builder.and_(within, drawn),
+            _ramp(builder, args[5], args[6]), args[7],
+        )  # fmt: skip
+
+    return types.int64(types.uint64, types.uint64, i, f, f, f, f, i, types.uint64, f), codegen
+
+
+@intrinsic
+def cover_eight_between(
+    typingctx, depth, ids, offset, centre, left, right, nearness, slope, least, most, entry
+):
+    """As cover_eight, at those of eight subpixels k = 0 .. 7 with left <= centre + k < right (float32).
+
+    least, most: float32 bounds that nearness is kept between.
+    """
+    f, i = types.float32, types.int64
+
+    def codegen(context, builder, signature, args):
+        at = builder.fadd(ir.Constant(_vector, [float(k) for k in range(WIDTH)]), _splat(builder, args[3]))
+        inside = builder.and_(
+            builder.fcmp_ordered(">=", at, _splat(builder, args[4])),
+            builder.fcmp_ordered("<", at, _splat(builder, args[5])),
+        )
+        value = _larger(builder, _ramp(builder, args[6], args[7]), _splat(builder, args[8]))
+        value = _smaller(builder, value, _splat(builder, args[9]))
+        return _write(builder, args[0], args[1], args[2], inside, value, args[10])
+
+    return types.int64(types.uint64, types.uint64, i, f, f, f, f, f, f, f, i), codegen
+
+
+@intrinsic
+def is_open(typingctx, depth, offset, stride, rows, count, nearness):
+    """Whether any of rows x count values is at most `nearness`: 1 or 0.
+
+    depth: address of float32; offset: of the first value; stride: from a row to the next; count: up to eight, but eight
+    must be readable.
+    """
+    f, i = types.float32, types.int64
+
+    def codegen(context, builder, signature, args):
+        depths = builder.inttoptr(args[0], _f32.as_pointer())
+        inside, limit = _first(builder, args[4]), _splat(builder, args[5])
+        end = builder.add(args[1], builder.mul(args[2], args[3]))
+        start = builder.block
+        loop, done = builder.append_basic_block("row"), builder.append_basic_block("done")
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        at = builder.phi(_i64)
+        at.add_incoming(args[1], start)
+        mask = builder.and_(inside, builder.fcmp_ordered("<=", _load(builder, depths, at), limit))
+        found = builder.icmp_unsigned("!=", _bits(builder, mask), ir.Constant(_i64, 0))
+        following = builder.add(at, args[2])
+        at.add_incoming(following, loop)
+        over = builder.icmp_signed(">=", following, end)
+        builder.cbranch(builder.or_(found, over), done, loop)
+        builder.position_at_end(done)
+        return builder.zext(found, _i64)
+
+    return i(types.uint64, i, i, i, i, f), codegen
 
 
 @intrinsic
