@@ -20,7 +20,9 @@ from pointmr_engine.scene.group import VISIBLE
 # of 3 tr(M V) / (A tr V), 0 where all normals stand on the surface's extent, 1 where they stand anyhow: up to where
 # points are drawn as surface, from where as clumps
 SURFACE, CLUMP = 0.05, 0.3
-_AREA, _MU, _V, _M, _SEEN, _ROOM, _RAW = 0, 1, 4, 10, 16, 17, 18
+# columns of points while they are merged: sums as their names say, the area that is covered and the room that its parts
+# have to cover (means over all directions), the area if all were opaque
+_AREA, _MU, _V, _M, _SEEN, _ROOM, _SOLID, _RAW = 0, 1, 4, 10, 16, 17, 18, 19
 DISK = 0.8660254037844386
 
 
@@ -29,21 +31,21 @@ class Prefiltered(NamedTuple):
 
     # (K, 16, 8) float32, of eight children: x, y, z of the centroid about the hierarchy's centre; covariance xx, xy,
     # xz, yy, yz, zz per area; the tensor P, likewise, such that what it covers along unit w is sqrt(w^T P w); and 1
-    # for flat ones to 0 for clumps. Areas are one side's, times opacity.
+    # for flat ones to 0 for clumps, or minus the opacity of flat ones that can be seen through. Areas are one side's,
+    # times opacity.
     points: np.ndarray
     # (2, K, 8) uint8: visibility bits that some, and that all, of what is below a child has
     visibility: np.ndarray
     mixed: bool  # False: everything is visible to all rays
     part_opacity: np.ndarray  # (parts,) float32, -1: look at the slot
     slot_opacity: np.ndarray  # (slots,) float32
-    group_raw: (
-        np.ndarray
-    )  # (groups, 18) float64: area, centroid about the centre, covariance, sum A n n^T, ...
+    # (groups, 19) float64: area, centroid about the group's centre, covariance, sum A n n^T, and what `_overlap` uses
+    group_raw: np.ndarray
 
 
 @device
 def _add(total, raw):
-    """Merge one point into another, in place: (18,) float64."""
+    """Merge one point into another, in place: (19,) float64."""
     a, b = total[_AREA], raw[_AREA]
     if not b > 0.0:
         return
@@ -60,18 +62,7 @@ def _add(total, raw):
     total[_AREA] = s
     total[_SEEN] += raw[_SEEN]
     total[_ROOM] += raw[_ROOM]
-
-
-@device
-def _room(raw):
-    """Mean area of the projections of the covariance's ellipse, of two standard deviations, over all directions."""
-    xx, xy, xz, yy, yz, zz = raw[_V], raw[_V + 1], raw[_V + 2], raw[_V + 3], raw[_V + 4], raw[_V + 5]
-    minors = yy * zz - yz * yz + xx * zz - xz * xz + xx * yy - xy * xy
-    det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    third = (xx + yy + zz) / 3.0
-    bulk = min(max(det / (third * third * third), 0.0), 1.0) if third > 0.0 else 0.0
-    # the root mean square, and what it is more than the mean: nothing for a ball, 2 / sqrt(3) for a disk
-    return 4.0 * np.pi * np.sqrt(max(minors, 0.0) / 3.0) * (DISK + (1.0 - DISK) * bulk)
+    total[_SOLID] += raw[_SOLID]
 
 
 @device
@@ -104,7 +95,8 @@ def _triangle(blocks, at, opacity, raw):
     s = area / (double * double)
     raw[_M], raw[_M + 1], raw[_M + 2] = s * nx * nx, s * nx * ny, s * nx * nz
     raw[_M + 3], raw[_M + 4], raw[_M + 5] = s * ny * ny, s * ny * nz, s * nz * nz
-    raw[_ROOM] = max(_room(raw), raw[_SEEN])
+    raw[_ROOM] = raw[_SEEN]
+    raw[_SOLID] = 0.5 * double
     return True
 
 
@@ -157,6 +149,7 @@ def _placed(address, i, child, child_center, parent_center, raw):
     raw[_AREA] = grown * child[_AREA]
     raw[_SEEN] = grown * child[_SEEN]
     raw[_ROOM] = grown * child[_ROOM]
+    raw[_SOLID] = grown * child[_SOLID]
     for n in range(6):
         raw[_M + n] = raw[_M + n] / grown if grown > 0.0 else 0.0
 
@@ -170,6 +163,18 @@ def _flatness(raw):
     size = (raw[v] + raw[v + 3] + raw[v + 5]) * raw[_AREA]
     bulk = 3.0 * along / size if size > 0.0 else 0.0
     return min(max((CLUMP - bulk) / (CLUMP - SURFACE), 0.0), 1.0)
+
+
+@device
+def _room(raw):
+    """Mean area of the projections of the covariance's ellipse, of two standard deviations, over all directions."""
+    xx, xy, xz, yy, yz, zz = raw[_V], raw[_V + 1], raw[_V + 2], raw[_V + 3], raw[_V + 4], raw[_V + 5]
+    minors = yy * zz - yz * yz + xx * zz - xz * xz + xx * yy - xy * xy
+    det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    third = (xx + yy + zz) / 3.0
+    bulk = min(max(det / (third * third * third), 0.0), 1.0) if third > 0.0 else 0.0
+    # the root mean square, and what it is more than the mean: nothing for a ball, 2 / sqrt(3) for a disk
+    return 4.0 * np.pi * np.sqrt(max(minors, 0.0) / 3.0) * (DISK + (1.0 - DISK) * bulk)
 
 
 @device
@@ -206,7 +211,10 @@ def _store(points, node, c, raw):
     factor = (1.0 - (1.0 - DISK) * spread) * (2.0 * raw[_SEEN] / area)
     for k in range(6):
         points[node, PP + k, c] = np.float32(factor * factor * area * raw[_M + k])
-    points[node, FLATNESS, c] = np.float32(_flatness(raw))
+    flat, opacity = _flatness(raw), area / raw[_SOLID]
+    if opacity < 0.999:
+        flat = -opacity if flat > 0.5 else 0.0
+    points[node, FLATNESS, c] = np.float32(flat)
 
 
 @uncounted

@@ -18,6 +18,7 @@ from pointmr_engine.multires.cone_walk import (
     enter,
     meeting,
     plane_of,
+    point_mask,
     seen_by,
     triangle_opacity,
 )
@@ -30,11 +31,9 @@ from pointmr_engine.numerics.simd_cone import (
     DEPTH,
     FRONT,
     LINES,
-    OPACITY,
     cone_boxes,
     cone_points,
     cone_triangles,
-    ellipse_mask,
     triangle_mask,
 )
 from pointmr_engine.numerics.simd_cover import farthest_row
@@ -170,14 +169,13 @@ def fill(w, s, cones, n, counters, levels, scratch, style, buffer):
                 small &= every
             if small != 0:
                 bits &= ~small
-                small &= cone_points(s.points, node, at, scratch.ellipses)
+                small &= cone_points(s.points, w.boxes, node, at, scratch.ellipses)
                 while small != 0:
                     lane = trailing_zeros(small)
                     small &= small - 1
                     counters[POINTS] += 1
                     element = 8 * node + lane
-                    opacity = load_f32(scratch.ellipses, 8 * OPACITY + lane)
-                    covered = ellipse_mask(scratch.ellipses, lane)
+                    covered, opacity = point_mask(scratch.ellipses, lane)
                     covered = dithered(s, covered, opacity, element + 977 * state[level, SEED])
                     if covered != 0:
                         t = load_f32(scratch.ellipses, 8 * DEPTH + lane) + offset

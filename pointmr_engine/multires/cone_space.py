@@ -34,6 +34,7 @@ from pointmr_engine.numerics.simd_cone import (
     START_X,
     START_Y,
     TRIANGLE_ROWS,
+    WHOLE,
 )
 from pointmr_engine.scene.group import HOLDOUT, VISIBLE
 
@@ -55,6 +56,10 @@ class Style(NamedTuple):
         1.1  # times the share of the ellipse that surfaces cover: from 1 on it is drawn without gaps
     )
     dense: float = 1.0  # times the share that clumps cover
+    wide: float = (
+        1.5  # cells times spread: no box is small that is larger, for wide cones see its near part larger
+    )
+    whole: float = 0.75  # share of an ellipse of two standard deviations from which a surface has no gaps
 
 
 class Levels(NamedTuple):
@@ -216,11 +221,13 @@ def set_constants(levels, level, address, centers, radii, hierarchy, cones, n, s
             store_f32(address, at + SPREAD_Y, np.float32(cones.spread[n, 1]))
             store_f32(address, at + NEAR, np.float32(cones.t_min[n] - moved))
             store_f32(address, at + FAR, np.float32(cones.t_max[n] - moved))
+    widest = max(abs(cones.spread[n, 0]), abs(cones.spread[n, 1]), 1e-9)
     store_f32(address, at + PAD, np.float32(PADDING * (offset + scale * load_f64(radii, hierarchy))))
-    store_f32(address, at + SMALL, np.float32(style.small))
+    store_f32(address, at + SMALL, np.float32(min(style.small, style.wide / widest)))
     store_f32(address, at + REACH, np.float32(style.reach * style.reach))
     store_f32(address, at + SOLID, np.float32(style.solid))
     store_f32(address, at + DENSE, np.float32(style.dense))
+    store_f32(address, at + WHOLE, np.float32(style.whole * 4.0))
 
 
 @device

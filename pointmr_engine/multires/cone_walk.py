@@ -38,6 +38,7 @@ from pointmr_engine.numerics.simd_cone import (
     cone_points,
     cone_triangles,
     ellipse_mask,
+    patch_mask,
     triangle_mask,
 )
 from pointmr_engine.scene.group import VISIBLE
@@ -45,6 +46,18 @@ from pointmr_engine.scene.group import VISIBLE
 ALL = np.int64(-1)
 # counters
 NODES, POINTS, BLOCKS, TRIANGLES, ENTERED, COUNTERS = 0, 1, 2, 3, 4, 5
+
+
+@device
+def point_mask(ellipses, lane):
+    """(sub-rays that a point may cover, the share of these that it does cover).
+
+    Of a surface those that meet its piece of plane, else those in its ellipse.
+    """
+    opacity = load_f32(ellipses, 8 * OPACITY + lane)
+    if opacity > np.float32(1.5):
+        return patch_mask(ellipses, lane), opacity - np.float32(2)
+    return ellipse_mask(ellipses, lane), opacity
 
 
 @device
@@ -216,14 +229,14 @@ def _visible(w, s, cones, masks, counters, levels, scratch, style, start, stop):
                     small &= every
                 if small != 0:
                     bits &= ~small
-                    small &= cone_points(s.points, node, at, scratch.ellipses)
+                    small &= cone_points(s.points, w.boxes, node, at, scratch.ellipses)
                     while small != 0:
                         lane = trailing_zeros(small)
                         small &= small - 1
                         counters[POINTS] += 1
-                        covered = ellipse_mask(scratch.ellipses, lane) & ~mask
+                        covered, opacity = point_mask(scratch.ellipses, lane)
+                        covered &= ~mask
                         if covered != 0:
-                            opacity = load_f32(scratch.ellipses, 8 * OPACITY + lane)
                             mask |= dithered(s, covered, opacity, 8 * node + lane + 977 * state[level, SEED])
                 first = sp
                 while bits != 0:

@@ -18,8 +18,8 @@ from pointmr_engine.numerics.simd_terms import Term, Terms
 
 # a row of constants: cone_from_local (3 x 4), the cone, the tolerances, and what decides how points are drawn
 (
-    MATRIX, START_X, START_Y, SPREAD_X, SPREAD_Y, NEAR, FAR, PAD, SMALL, REACH, SOLID, DENSE,
-) = 0, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22  # fmt: skip
+    MATRIX, START_X, START_Y, SPREAD_X, SPREAD_Y, NEAR, FAR, PAD, SMALL, REACH, SOLID, DENSE, WHOLE,
+) = 0, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23  # fmt: skip
 CONSTANTS = 24
 
 POINT_ROWS = 16  # of eight float32 a node: centroid, covariance, normals' tensor, solidity of eight children
@@ -28,11 +28,16 @@ X, XX, PP, FLATNESS = 0, 3, 9, 15
 # rows of eight float32 that `cone_boxes`, `cone_points`, `cone_triangles` leave behind
 COLUMNS, LINES, FRONT = 0, 1, 2
 BOX_ROWS = 3
-U, V, CONIC, OPACITY, DEPTH, AREA = 0, 1, 2, 5, 6, 7
-ELLIPSE_ROWS = 8
+U, V, CONIC, OPACITY, DEPTH, ACROSS, ALONG, OFFSET, HALF = 0, 1, 2, 5, 6, 7, 10, 13, 16
+ELLIPSE_ROWS = 19
 EDGES, NEAREST = 0, 12
 TRIANGLE_ROWS = 13
 
+AROUND = 6.0  # variances: an ellipse that holds a rectangle's corners
+THICK, EDGE = (
+    0.15,
+    0.01,
+)  # of a box's longest side: how thick it is at least, how far it reaches into its neighbours
 _TINY = 1e-30
 _SLACK = 1e-4  # of a cell: more than what rounding can move the bounds of a box by
 
@@ -129,20 +134,23 @@ def cone_boxes(typingctx, boxes, node, constants, out):
 
 
 @intrinsic
-def cone_points(typingctx, points, node, constants, out):
+def cone_points(typingctx, points, boxes, node, constants, out):
     """Ellipses of a node's eight prefiltered points; bits of those that may cover a sub-ray.
 
-    points: address of float32, POINT_ROWS * 8 a node; constants, out: addresses of float32, out of ELLIPSE_ROWS rows of
-    eight: middle u, v in cells; a, b, c of a dx^2 + b dx dy + c dy^2 <= 1; share of the ellipse that is covered; t;
-    projected area in cells.
+    points: address of float32, POINT_ROWS * 8 a node; boxes as `cone_boxes`; constants, out: addresses of float32, out
+    of ELLIPSE_ROWS rows of eight: middle u, v in cells; a, b, c of a dx^2 + b dx dy + c dy^2 <= 1; share of the
+    ellipse that is covered; t. Shares above 2 mark pieces of surface without gaps, for `patch_mask`: that part of its
+    plane that lies in its box, of the opacity share - 2. Where the plane is: ACROSS du + ALONG dv + OFFSET, about the
+    box's middle; HALF its size.
     """
     i = types.int64
 
     def codegen(context, builder, signature, args):
         t = Terms(builder)
-        data, k, target = (t.pointer(args[n]) for n in (0, 2, 3))
+        data, planes, k, target = (t.pointer(args[n]) for n in (0, 1, 3, 4))
         constant, m, start, spread = _cone(t, k)
-        base = builder.mul(args[1], ir.Constant(_i64, POINT_ROWS * WIDTH))
+        base = builder.mul(args[2], ir.Constant(_i64, POINT_ROWS * WIDTH))
+        box = builder.mul(args[2], ir.Constant(_i64, NODE_FLOATS))
 
         def column(c):
             return Term(builder, _load(builder, data, builder.add(base, ir.Constant(_i64, c * WIDTH))))
@@ -175,11 +183,42 @@ def cone_points(typingctx, points, node, constants, out):
         g = [a[(n + 1) % 3] * b[(n + 2) % 3] - a[(n + 2) % 3] * b[(n + 1) % 3] for n in range(3)]
         seen = dot(times(PP, g), g).at_least(0.0).sqrt()
         det = (s_uu * s_vv - s_uv * s_uv).at_least(s_uu * s_vv * 1e-6).at_least(1e-20)
-        reach = constant(REACH)
-        # of an ellipse of REACH^2 standard deviations
-        ratio = seen / (det.sqrt() * reach * math.pi)
+        ratio = seen / (det.sqrt() * math.pi)  # of an ellipse of one standard deviation
         flat = column(FLATNESS)
-        opacity = ratio * (constant(DENSE) + flat * (constant(SOLID) - constant(DENSE)))
+        clear = flat < 0.0
+        full = (t.constant(0.0) - flat).where(clear, 1.0)
+        flat = t.constant(1.0).where(clear, flat)
+        whole = builder.and_(flat > 0.5, ratio > constant(WHOLE) * full)
+        reach = t.constant(AROUND).where(whole, constant(REACH))
+        opacity = ratio / reach * (constant(DENSE) + flat * (constant(SOLID) - constant(DENSE)))
+        opacity = (full + 2.0).where(whole, opacity.at_most(1.0))
+        # the normal, for one normal is all that there is: the longest column of its tensor
+        xx, xy, xz, yy, yz, zz = (column(PP + n) for n in range(6))
+        second = builder.and_(yy > xx, yy > zz)
+        third = builder.and_(zz > xx, zz > yy)
+        n = [
+            xz.where(third, xy.where(second, xx)),
+            yz.where(third, yy.where(second, xy)),
+            zz.where(third, yz.where(second, xz)),
+        ]
+
+        def cross(p, q):
+            return [p[(i + 1) % 3] * q[(i + 2) % 3] - p[(i + 2) % 3] * q[(i + 1) % 3] for i in range(3)]
+
+        inverse = t.constant(1.0) / dot(n, g)
+        across, along = cross(b, n), cross(n, a)
+        sides = [
+            Term(builder, _load(builder, planes, builder.add(box, ir.Constant(_i64, side * WIDTH))))
+            for side in range(6)
+        ]
+        half = [(sides[3 + axis] - sides[axis]) * 0.5 for axis in range(3)]
+        most = half[0].at_least(half[1]).at_least(half[2])
+        for axis in range(3):
+            t.store(across[axis] * inverse, target, ACROSS + axis)
+            t.store(along[axis] * inverse, target, ALONG + axis)
+            t.store(column(X + axis) - (sides[axis] + sides[3 + axis]) * 0.5, target, OFFSET + axis)
+            # a thin box is left by the plane of what is not quite flat
+            t.store(half[axis].at_least(most * THICK) + most * EDGE, target, HALF + axis)
         scale = t.constant(1.0) / (det * reach)
         wide, high = (s_uu * reach).at_least(0.0).sqrt(), (s_vv * reach).at_least(0.0).sqrt()
         first, last = _centres(middle[0] - wide, middle[0] + wide)
@@ -196,12 +235,11 @@ def cone_points(typingctx, points, node, constants, out):
             (CONIC + 2, s_uu * scale),
             (OPACITY, opacity),
             (DEPTH, p[2]),
-            (AREA, seen),
         ):
             t.store(term, target, row)
         return t.bits(mask)
 
-    return i(i, i, i, i), codegen
+    return i(i, i, i, i, i), codegen
 
 
 def _packed(builder, rows):
@@ -234,6 +272,35 @@ def ellipse_mask(typingctx, ellipses, lane):
         for j in range(8):
             dy = t.constant(j + 0.5) - v
             rows.append(p.plus_product(dy, q.plus_product(c, dy)) < 1.0)
+        return _packed(builder, rows)
+
+    return i(i, i), codegen
+
+
+@intrinsic
+def patch_mask(typingctx, ellipses, lane):
+    """Sub-rays that meet one of the pieces of surface that `cone_points` left at address `ellipses`."""
+    i = types.int64
+
+    def codegen(context, builder, signature, args):
+        t = Terms(builder)
+        at = builder.gep(t.pointer(args[0]), [args[1]])
+        u, v, a, b, c = (t.broadcast(at, row * WIDTH) for row in (U, V, CONIC, CONIC + 1, CONIC + 2))
+        dx = _lanes(builder, (n + 0.5 for n in range(WIDTH))) - u
+        p, q = a * dx * dx, b * dx
+        slabs = []
+        for axis in range(3):
+            across, along, offset, half = (
+                t.broadcast(at, (row + axis) * WIDTH) for row in (ACROSS, ALONG, OFFSET, HALF)
+            )
+            slabs.append((offset.plus_product(across, dx), along, half))
+        rows = []
+        for j in range(8):
+            dy = t.constant(j + 0.5) - v
+            inside = p.plus_product(dy, q.plus_product(c, dy)) < 1.0
+            for first, along, half in slabs:
+                inside = builder.and_(inside, first.plus_product(along, dy).abs() < half)
+            rows.append(inside)
         return _packed(builder, rows)
 
     return i(i, i), codegen
