@@ -356,7 +356,7 @@ def prefilter(acceleration: Acceleration, opacity: np.ndarray | None = None) -> 
 
 
 def area_of(points: np.ndarray) -> np.ndarray:
-    """(K, 8) float32: area of each of (K, 16, 8) points, one side, times opacity."""
+    """(K, 8) float32: area of (K, 16, 8) points, times opacity, less what their parts hide of each other."""
     p = points[:, PP : PP + 6].astype(np.float64)
     trace = p[:, 0] + p[:, 3] + p[:, 5]
     square = (p * p).sum(1) + (p[:, [1, 2, 4]] ** 2).sum(1)
