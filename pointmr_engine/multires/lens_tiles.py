@@ -28,9 +28,11 @@ from pointmr_engine.forward.walk import Scratch, walk
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lens import LensView, confusion, make_views, sharpest, views_per_side
 from pointmr_engine.multires.merge import _join, _mergeable
-from pointmr_engine.multires.method import SUBPIXELS, TracedShading, TracedTiles
+from pointmr_engine.multires.method import TracedShading, TracedTiles
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import CAMERA
+
+MIXED = 2.0  # pixels: circles of confusion from this size on are shaded in larger cells
 
 
 @uncounted
@@ -190,7 +192,7 @@ class LensTiles(TracedTiles):
         self.closed += close_gaps(self.part, width, height, own.entries.surfel)
         f = Fragments(*(a[first:] for a in self.found))
         count = find_fragments(
-            self.part.ids, width, height, np.int64(max(SUBPIXELS // v, 1)), own.entries, self.fragment_of,
+            self.part.ids, width, height, np.int64(max(self.cell // v, 1)), own.entries, self.fragment_of,
             self.gaps, f,
         )  # fmt: skip
         rows = int(own.used[1])
@@ -262,10 +264,18 @@ class LensTiles(TracedTiles):
         lens = image.camera.lens
         wide = lens[0] * max(lens[4], 1.0) / (z if view.perspective else lens[1])
         alone = image.sharpest[material] < wide if view.perspective else np.zeros(n, np.bool_)
-        # cells of the plane: of what lies far outside the tile the last ones
-        last = 1 << 15
-        i, j = (np.clip(a[:n] // SUBPIXELS, -last, last - 1).astype(np.int64) + last for a in (f.x, f.y))
-        key = (np.where(alone, self.of_view[:n] + np.int64(1), 0) << 32) + (j << 16) + i
+        # cells as without a lens; twice as large where so many are mixed in every pixel that fewer do
+        blur = 2.0 * lens[0] * np.abs(1.0 / z - 1.0 / lens[1] if view.perspective else 1.0 - z / lens[1])
+        mixed = blur * abs(view.scale_y) > MIXED * image.subpixels
+        cell = np.where(mixed, 2 * self.cell, self.cell)
+        last = 1 << 15  # what lies far outside the tile is in the last cells
+        i, j = (np.clip(a[:n] // cell, -last, last - 1).astype(np.int64) + last for a in (f.x, f.y))
+        key = (
+            (np.where(alone, self.of_view[:n] + np.int64(1), 0) << 33)
+            + (mixed.astype(np.int64) << 32)
+            + (j << 16)
+            + i
+        )
         order = np.argsort(key, kind="stable")
         count = merge_views(
             order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.largest,
@@ -275,7 +285,7 @@ class LensTiles(TracedTiles):
         for old, new in zip(f, self.fragments, strict=True):
             new[:count] = old[chosen]
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
-        of, start = np.unique(key[chosen] >> 32, return_index=True)
+        of, start = np.unique(key[chosen] >> 33, return_index=True)
         stop = [*start[1:].tolist(), count][: len(of)]
         self.parts = list(zip(start.tolist(), stop, (of - 1).tolist(), strict=True))
         return count
