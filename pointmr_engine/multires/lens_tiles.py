@@ -107,13 +107,18 @@ class LensShading(TracedShading):
         image, f = self.image, space.fragments
         paths, values = self.paths(space), space.placement_values(hierarchy)
         space.used[:] = 0
+        matrix = space.scratch.transforms.matrix
         for start, stop, k in space.parts:
-            shift = (image.views[k].x, image.views[k].y) if k >= 0 else (0.0, 0.0)
             space.image = image.seen[k] if k >= 0 else image
-            f.position[start:stop, :2] -= shift
+            if k >= 0:  # into the view's own camera space, and back
+                shift, rows = np.array([image.views[k].x, image.views[k].y]), slice(*space.rows_of[k])
+                f.position[start:stop, :2] -= shift
+                matrix[rows, 3:8:4] -= shift
             for first in range(start, stop, BATCH):
                 paths.trace(space, hierarchy, values, first, min(BATCH, stop - first))
-            f.position[start:stop, :2] += shift
+            if k >= 0:
+                f.position[start:stop, :2] += shift
+                matrix[rows, 3:8:4] += shift
         space.image = image
 
 
@@ -166,6 +171,7 @@ class LensTiles(TracedTiles):
         waiting = counters[WAITING]
         self.count = 0
         self.scratch.used[1] = 0
+        self.rows_of: list = []  # of each view, in the transforms
         self.open[:], self.sky[:] = 0, 0.0
         x, y, width, height = self.left // v, self.low // v, self.width // v, self.height // v
         for k, seen in enumerate(image.views):
@@ -248,6 +254,7 @@ class LensTiles(TracedTiles):
         matrix[:, 3] += seen.x
         matrix[:, 7] += seen.y
         kept.used[1] = last
+        self.rows_of.append((first, last))
 
     def placement_values(self, hierarchy) -> PlacementValues:
         return self.placed
@@ -264,18 +271,14 @@ class LensTiles(TracedTiles):
         lens = image.camera.lens
         wide = lens[0] * max(lens[4], 1.0) / (z if view.perspective else lens[1])
         alone = image.sharpest[material] < wide if view.perspective else np.zeros(n, np.bool_)
-        # cells as without a lens; twice as large where so many are mixed in every pixel that fewer do
+        # cells as without a lens; twice as large where every pixel mixes many of them
         blur = 2.0 * lens[0] * np.abs(1.0 / z - 1.0 / lens[1] if view.perspective else 1.0 - z / lens[1])
-        mixed = blur * abs(view.scale_y) > MIXED * image.subpixels
+        mixed = alone | (blur * abs(view.scale_y) > MIXED * image.subpixels)
         cell = np.where(mixed, 2 * self.cell, self.cell)
         last = 1 << 15  # what lies far outside the tile is in the last cells
         i, j = (np.clip(a[:n] // cell, -last, last - 1).astype(np.int64) + last for a in (f.x, f.y))
-        key = (
-            (np.where(alone, self.of_view[:n] + np.int64(1), 0) << 33)
-            + (mixed.astype(np.int64) << 32)
-            + (j << 16)
-            + i
-        )
+        view_of = np.where(alone, self.of_view[:n].astype(np.int64) + 1, 0)
+        key = (view_of << 33) + (mixed.astype(np.int64) << 32) + (j << 16) + i
         order = np.argsort(key, kind="stable")
         count = merge_views(
             order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.largest,

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.closed_forms.__main__ import image_of
 from benchmarks.closed_forms.cases import all_cases
+from benchmarks.closed_forms.stage import glow, mirror, rectangle
 from pointmr_engine import Group, Light, RenderSettings, Scene, principled, render, uniform_world
 from pointmr_engine.forward.subpixels import make_view
 from pointmr_engine.multires.lens import confusion, lens_points, make_views, sharpest, views_per_side
@@ -72,6 +73,25 @@ def test_the_blur_is_that_of_random_rays(kind):
     error = np.sqrt(np.mean((images["raytrace"] - images["distributed"]) ** 2)) / span
     assert error < 0.02
     assert np.sqrt(np.mean((sharp - images["distributed"]) ** 2)) / span > 2.0 * error
+
+
+def mirrored_edge() -> Scene:
+    """A mirror in focus on the floor, in which the edge of a glowing plane above is out of focus."""
+    above = rectangle(0.0, 40.0, -40.0, 40.0, 9.0, glow(1.0), "above")
+    floor = rectangle(-4.0, 4.0, -4.0, 4.0, 0.0, mirror(), "mirror")
+    camera = from_above(fstop=0.1, focus_distance=5.0)
+    return Scene(Group("root", [floor, above]), camera, [], uniform_world((0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("secondary", ["rays", "cones"])
+def test_a_mirror_is_seen_by_every_view(secondary):
+    settings = dataclasses.replace(SETTINGS, raytrace=RaytraceSettings(cones=1, secondary=secondary))
+    frame = render(mirrored_edge(), settings)
+    exact = render(mirrored_edge(), dataclasses.replace(SETTINGS, method="distributed", samples=256))
+    a, b = (f.passes["combined"][..., 0] for f in (frame, exact))
+    assert np.sqrt(np.mean((a - b) ** 2)) < 0.015
+    shared = render(two_floors(fstop=0.1, focus_distance=5.0), settings).stats["counters"]["fragments"]
+    assert frame.stats["counters"]["fragments"] > 3 * shared
 
 
 def test_what_is_in_focus_stays_sharp():
