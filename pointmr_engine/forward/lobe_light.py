@@ -185,7 +185,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
 
 
 @device
-def _towards_normal(normal, direction, roughness):
+def towards_normal(normal, direction, roughness):
     """Where a rough lobe looks: between its mirror direction and its normal (Lagarde and de Rousiers 2014)."""
     smooth = 1.0 - min(roughness, 1.0)
     t = smooth * (math.sqrt(smooth) + roughness)
@@ -261,7 +261,7 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, ar
                     2.0 * cosine * n[1] - wi[1],
                     2.0 * cosine * n[2] - wi[2],
                 )
-                d = _towards_normal(n, mirror, rough)
+                d = towards_normal(n, mirror, rough)
                 e = world_lobe(glossy, rough, d[0], d[1], d[2])
                 r += w[0] * reflected[0] * e[0]
                 g += w[1] * reflected[1] * e[1]

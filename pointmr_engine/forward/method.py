@@ -282,5 +282,6 @@ def render_image(
     for space in spaces:
         counters.update(dict(zip(COUNTERS, space.scratch.counters.tolist(), strict=True)))
         counters.update(fragments=space.shaded, closed=space.closed)
+        counters.update(getattr(space.shading, "counters", {}))
     image.sampler.keep(image, spaces)
     return counters

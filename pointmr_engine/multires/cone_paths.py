@@ -7,12 +7,13 @@ as paths with the weight of their coverage.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from pointmr_engine.forward.baking import materials_of
-from pointmr_engine.forward.lobe_light import shade_lamps, shade_world, widen_by_normals
+from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals
 from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
@@ -21,32 +22,49 @@ from pointmr_engine.multires.cones import Cones, allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths, close_transparency
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, weigh_sub_rays
-from pointmr_engine.multires.scatter import WEAK, keep_lobes, scatter_lobes
-from pointmr_engine.multires.world_cones import FACES, WorldCells, open_shares, world_cones
+from pointmr_engine.multires.scatter import keep_lobes, scatter_lobes
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage
-from pointmr_engine.raytracing.lamps import DISTANT, POINT, compile_lamps
+from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
+from pointmr_engine.raytracing.lights import EACH, LAMP, WORLD
 from pointmr_engine.raytracing.paths import BACKDROP
 from pointmr_engine.raytracing.surface import frames
-from pointmr_engine.scene.group import CAMERA, GLOSSY, TRANSMISSION
-from pointmr_engine.shading.bsdf.layout import HAS_DIFFUSE, HAS_TRANSMISSION
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 _WEIGHTS = cell_weights()
-ROOM = 4 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
-MOST = 6  # fragments of a cone
+WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4  # shadow rays of a fragment to the world, emitters, one of many lights
+SHARP = 0.02  # half angle (rad) up to which a sun takes rays
+STRONG = 0.25  # throughput from which what a lobe sees is lit by cones; below, by one light sample
+ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
+MOST = 3  # fragments of a cone
 OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
 
 
 class ConeLight:
-    """What the threads of an image share: lamps, the world in cells, and the hierarchy that cones walk."""
+    """What the threads of an image share: which lights take cones and which take rays, and what cones walk.
+
+    Wide lamps take a cone from every point. Sharp ones, the world and emissive surfaces take shadow rays, a few for
+    each of a pixel's fragments, in one stratified set: measured, they cost less there than cones that find as much.
+    """
 
     def __init__(self, scene, sampler, stage):
         world = sampler.world_light
         self.world = world
-        self.lamps = compile_lamps([*scene.lights, *world.suns])[0]
-        self.cells = WorldCells(world.diffuse)
         self.acceleration = stage.acceleration
+        self.lights = lights = stage.lights
+        arrays = lights.arrays
+        lamps = len(arrays.lamps.shape)
+        if lamps <= EACH:
+            wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
+            turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
+            turns += [(WORLD, 0)] * (WORLD_RAYS if arrays.tree.leaf_of_world != -1 else 0)
+            turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
+            self.rays = lights.asked(turns)
+        else:
+            wide, self.rays = [], lights.taken(MANY_RAYS)
+        self.lamps = compile_lamps([scene.lights[arrays.lamps.source[k]] for k in wide])[0]
         if sampler.prefiltered is None:
             opacity = mean_opacity(sampler)
             whole = prefilter(stage.acceleration)
@@ -54,12 +72,9 @@ class ConeLight:
             sampler.prefiltered = clear, whole
         # shadows pass what is transparent by its mean opacity; lobes see surfaces, whose shading lets them through
         self.prefiltered, self.prefiltered_whole = sampler.prefiltered
-        self.lights = stage.lights
-        self.emitters = stage.lights.emitters_alone
 
-    def stage(self, stage: Stage) -> Stage:
-        """The integrator's stage for cones: random light samples look for emissive surfaces only, at diffuse lobes."""
-        lights = self.lights if self.emitters is None else self.emitters
+    def stage(self, stage: Stage, lights) -> Stage:
+        """The integrator's stage whose light samples ask `lights`."""
         return replace(
             stage,
             lights=lights,
@@ -70,6 +85,14 @@ class ConeLight:
     def blocked(self, cones: Cones, count: int, masks: np.ndarray) -> None:
         """masks (N,) uint64: the sub-rays of cones 0..count that something stops."""
         visible(self.acceleration, self.prefiltered, cones, masks, None, 0, count)
+
+
+def _is_wide(lamps, k: int) -> bool:
+    """Whether shadows of lamp k have wide penumbras."""
+    row, shape = lamps.values[k], lamps.shape[k]
+    if shape == SUN:
+        return row[CONE] > 1.0 - math.cos(SHARP)
+    return shape not in (POINT, DISTANT) and bool(lamps.cast_shadow[k])
 
 
 def mean_opacity(sampler) -> np.ndarray:
@@ -97,8 +120,9 @@ class ConePaths(FragmentPaths):
     """One thread's paths by cones. light: method.ConeLight, what all threads share."""
 
     def __init__(self, stage, light):
-        super().__init__(light.stage(stage), ROOM)
+        super().__init__(light.stage(stage, light.rays), ROOM)
         n = ROOM
+        self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.lights)
         self.light = light
         self.width = np.empty(n, np.float32)
         self.both = np.empty(n, np.bool_)
@@ -130,32 +154,43 @@ class ConePaths(FragmentPaths):
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
         self._scatter(now, n, alive, bounce)
-        lobes, count = self.lobes, np.int64(n)
+        lobes, light = self.lobes, self.light
         lobes.count[:n][~alive] = 0
-        keep_lobes(lobes, self.alpha, False, count)
+        keep_lobes(lobes, self.alpha, np.int64(n))
+        if bounce:
+            weak = alive & (now.throughput[:n].max(1) < STRONG)
+            self.stage = self.weak_stage
+            super()._direct_light(now, n, weak, bounce)
+            lobes.count[:n][weak] = 0
+            alive = alive & ~weak
+        self.stage = self.strong_stage
+        if light.rays.turns:
+            super()._direct_light(now, n, alive, bounce)
+        if len(light.lamps.shape) and lobes.count[:n].any():
+            self._wide_lamps(now, n)
+
+    def sample_lights(self, m: int, turn=None):
+        """Light samples that nothing else finds: lobes' cones see the world and what shines, but no lamps."""
+        chosen = super().sample_lights(m, turn)
+        chosen.mis[:] = False
+        chosen.pdf[:] *= self.stage.lights.turns.count(turn)  # what is asked several times counts once
+        chosen.visibility[chosen.kind != LAMP] &= DIFFUSE
+        return chosen
+
+    def _wide_lamps(self, now, n: int) -> None:
+        """Add the light of lamps that take cones."""
+        lobes, lamps, count = self.lobes, self.light.lamps, np.int64(n)
         self.received[:n] = 0.0
         reach = np.where(np.isfinite(self.hits.t[:n]), self.hits.t[:n], 0.0)
         self.width[:n] = now.state.width[:n] + now.state.spread[:n] * reach
         np.not_equal(lobes.flags[:n] & HAS_TRANSMISSION, 0, out=self.both[:n])
-        lamps = self.light.lamps
-        if len(lamps.shape):
-            for i in np.flatnonzero(lamps.cast_shadow):
-                self._shadow(int(i), n)
-            shade_lamps(
-                lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, lamps, self.share,
-                np.int64(0), count, self.received,
-            )  # fmt: skip
-        keep_lobes(lobes, self.alpha, True, count)
-        world = self.light.world
-        if self.light.cells.light.any():
-            share = self._open(n)
-            shade_world(
-                lobes, self.view.incoming, self.flat, self.stage.shader.tables, world.diffuse, world.glossy,
-                world.transmission, share, count, self.received,
-            )  # fmt: skip
+        for i in range(len(lamps.shape)):
+            self._shadow(i, n)
+        shade_lamps(
+            lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, lamps, self.share,
+            np.int64(0), count, self.received,
+        )  # fmt: skip
         paths.add_radiance(now, self.samples, self.stage.limits, self.received[:n], self.ones[:n], n)
-        if self.light.emitters is not None:
-            super()._direct_light(now, n, alive, bounce)
 
     def _shadow(self, i: int, n: int) -> None:
         """The share of lamp i that arrives at points 0..n."""
@@ -167,43 +202,18 @@ class ConePaths(FragmentPaths):
         )  # fmt: skip
         if not m:
             return
-        self.counters["sharp_cones" if lamps.shape[i] in (POINT, DISTANT) else "area_cones"] += m
+        self.counters["lamp_cones"] += m
         self.light.blocked(self.cones, m, self.masks)
         take_shares(self.masks, _WEIGHTS, lamps.shape[i], self.rows, self.shifts, np.int64(m), self.share[i])
 
-    def _open(self, n: int) -> np.ndarray:
-        """(n, 2, 3) shares of the world's light in front of points 0..n and behind them."""
-        cells = self.light.cells
-        wanted = (self.lobes.flags[:n] & HAS_DIFFUSE) != 0
-        masks = np.zeros((n, FACES), np.uint64)
-        step = len(self.masks) // FACES
-        source = np.empty(step * FACES, np.int32)
-        for first in range(0, n, step):
-            here = np.s_[first : min(first + step, n)]
-            m = world_cones(
-                cells.axes, self.frames.position[here], self.lobes.normal[here], wanted[here], self.both[here],
-                self.width[here], self.frames.offset[here], np.int64(len(wanted[here])), self.cones, source,
-            )  # fmt: skip
-            if m:
-                self.counters["world_cones"] += m
-                self.light.blocked(self.cones, m, self.masks)
-                masks[here].reshape(-1)[source[:m]] = self.masks[:m]
-        share = np.empty((n, 2, 3), np.float32)
-        open_shares(cells.direction, cells.light, masks, self.lobes.normal, self.both, np.int64(n), share)
-        return share
-
     def _scatter(self, now, n: int, alive, bounce: int) -> None:
         """Paths behind the surfaces, and their cones."""
-        weak = WEAK
-        while True:
-            self.going = scatter_lobes(
-                now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
-                self.stage.shader.tables, np.int64(bounce), weak, alive, np.int64(n), np.int64(ROOM // 3), self.then,
-                self.next_cones,
-            )  # fmt: skip
-            if self.going >= 0:
-                break
-            weak *= 2.0
+        self.going = scatter_lobes(
+            now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
+            self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
+        )  # fmt: skip
+        if self.going < 0:
+            raise RuntimeError("more lobes than there is room for")
         if self.going:
             self.counters["lobe_cones"] += self.going
 
@@ -222,7 +232,7 @@ class ConePaths(FragmentPaths):
         """What the cones of n paths see is met; returns how many paths go on from there, in `then`."""
         light, lobes, met, hits = self.light, self.lobe_cones, self.met, self.hits
         weigh_sub_rays(lobes, np.int64(n))
-        most = max(1, min(MOST, ROOM // n - 1))
+        most = max(1, min(MOST if bounce == 1 else 1, ROOM // n - 1))
         merging = Merging(most=most, seed=self.stage.settings.seed + bounce)
         met.rays.skip_triangle[:] = -1
         count = gather(
@@ -238,7 +248,7 @@ class ConePaths(FragmentPaths):
             walk.intersect(light.acceleration, met.rays, hits, total - counts[2], total)
         self.counters["lobe_fragments"] += counts[0]
         frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
-        return self.meet(tile, met, now, total, bounce) if total else 0
+        return self.meet(tile, met, then, total, bounce) if total else 0
 
     def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:
         """What camera rays and lobes see besides surfaces: lamps, where nothing widens the view, and the world."""

@@ -20,7 +20,7 @@ from pointmr_engine.raytracing import paths
 from pointmr_engine.raytracing.integrator import Stage, Workspace
 from pointmr_engine.raytracing.surface import frames
 
-BATCH = 8192  # fragments at once
+BATCH = 4096  # fragments at once
 CLUMP = 0.5  # flatness below which a piece has no normal of its own
 
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.lobe_light import _towards_normal
+from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
@@ -41,16 +41,7 @@ CORE, REST = (
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.1  # weight from which a lobe matters
-WEAK = 0.03  # weights below it go on by chance
-
-
-@device
-def _survives(tables, seed, bounce, number, which, weight, weak):
-    """(whether what has this weight goes on, factor of its weight)."""
-    if weight >= weak:
-        return True, 1.0
-    u = sample_1d(tables, seed, np.uint32(64 * bounce + 8 + which), number)
-    return u * weak < weight, weak / max(weight, 1e-30)
+WEAK, WEAK_LATER = 0.03, 0.1  # throughputs below it go on by chance, at the first surface and behind it
 
 
 @device
@@ -124,120 +115,169 @@ def _open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
     cones.visibility[m] = out.rays.visibility[m]
 
 
+@device
+def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
+    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 if it is diffuse."""
+    zero = (0.0, 0.0, 0.0)
+    kind = lobes.kind[k, j]
+    base = kind & KIND_MASK
+    if base <= TRANSLUCENT:
+        return zero, zero
+    w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
+    share = 1.0
+    reflected, transmitted = (1.0, 1.0, 1.0), zero
+    if base != ASHIKHMIN_SHIRLEY:
+        cosine = dot(load3(lobes.data, k, j, NORMAL), incoming)
+        reflected, transmitted = albedo(kind, lobes.data, k, j, tables_of_albedo, cosine)
+        share = single_scattering(kind, lobes.data, k, j, tables_of_albedo, cosine)
+    w = (w[0] * share * t[0], w[1] * share * t[1], w[2] * share * t[2])
+    r, g = zero, zero
+    if base != REFRACTION:
+        r = (w[0] * reflected[0], w[1] * reflected[1], w[2] * reflected[2])
+    if base == REFRACTION or base == GLASS:
+        g = (w[0] * transmitted[0], w[1] * transmitted[1], w[2] * transmitted[2])
+    return r, g
+
+
+@device
+def _largest(c):
+    return max(c[0], c[1], c[2])
+
+
+@device
+def _branch(chosen, weight, before, target, total, weak):
+    """Factor of the weight of a branch that goes on, 0 if it does not.
+
+    chosen: only the branch goes on in whose share of `total`, behind `before`, the `target` lies.
+    """
+    if not weight > 0.0:
+        return 0.0
+    if chosen:
+        if before <= target and target < before + weight:
+            return max(total, weak) / weight
+        return 0.0
+    return 1.0
+
+
 @uncounted
-def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, weak, alive, n, room,
-                  out, record):  # fmt: skip
+def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
+                  record):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many, -1 if over `room`.
 
-    Straight transparency is a path without a cone of its own: the ray goes on. weak: weights below it go on by chance.
+    At the first surface every lobe goes on; behind it one of them, by chance. Straight transparency is a path without a
+    cone of its own: the ray goes on.
     """
-    cones, alpha = record.cones, record.alpha
     m = np.int64(0)
     for k in range(n):
         if not alive[k]:
             continue
-        seed, number = samples.seed[paths.slot[k]], samples.number[paths.slot[k]]
-        t = paths.throughput[k]
-        x, y, z = lobes.transparency[k, 0], lobes.transparency[k, 1], lobes.transparency[k, 2]
-        if max(x, y, z) > 0.0 and not paths.flags[k] & LAST:
-            r, g, b = np.float64(t[0]) * x, np.float64(t[1]) * y, np.float64(t[2]) * z
-            go, scale = _survives(tables, seed, bounce, number, np.int64(0), max(r, g, b), weak)
-            if go:
-                if m >= room:
-                    return -1
-                _pass(paths, k, out, m, hits, frames, limits, r * scale, g * scale, b * scale)
-                alpha[m] = -1
-                record.part[m] = 0
-                cones.t_min[m] = cones.t_max[m] = 0.0
-                m += 1
+        if m + 2 + 4 * np.int64(lobes.count[k]) > room:
+            return -1
         wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
+        t = paths.throughput[k]
+        clear = (0.0, 0.0, 0.0)
+        if not paths.flags[k] & LAST:
+            clear = (
+                np.float64(t[0]) * lobes.transparency[k, 0],
+                np.float64(t[1]) * lobes.transparency[k, 1],
+                np.float64(t[2]) * lobes.transparency[k, 2],
+            )
+        total = max(_largest(clear), 0.0)
         for j in range(np.int64(lobes.count[k])):
-            kind = lobes.kind[k, j]
-            base = kind & KIND_MASK
-            if base <= TRANSLUCENT:
-                continue
-            w, nm = load3(lobes.data, k, j, WEIGHT), load3(lobes.data, k, j, NORMAL)
-            cosine = dot(nm, wi)
-            rough_x, rough_y = np.float64(lobes.data[k, j, ALPHA_X]), np.float64(lobes.data[k, j, ALPHA_Y])
-            rough = math.sqrt(rough_x * rough_y)
-            if base == ASHIKHMIN_SHIRLEY:
-                reflected, transmitted, rough = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), 0.3
-            else:
-                reflected, transmitted = albedo(
-                    kind, lobes.data, np.int64(k), np.int64(j), tables_of_albedo, cosine
-                )
-            share = 1.0
-            if base != ASHIKHMIN_SHIRLEY:
-                share = single_scattering(
-                    kind, lobes.data, np.int64(k), np.int64(j), tables_of_albedo, cosine
-                )
-            w = (w[0] * share * t[0], w[1] * share * t[1], w[2] * share * t[2])
-            singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
-            if base != REFRACTION:
-                r, g, b = w[0] * reflected[0], w[1] * reflected[1], w[2] * reflected[2]
-                go, scale = _survives(tables, seed, bounce, number, np.int64(2 * j + 1), max(r, g, b), weak)
-                if go and max(r, g, b) > 0.0:
-                    if m >= room:
-                        return -1
-                    d = (
-                        2.0 * cosine * nm[0] - wi[0],
-                        2.0 * cosine * nm[1] - wi[1],
-                        2.0 * cosine * nm[2] - wi[2],
-                    )
-                    d = _towards_normal(nm, d, rough)
-                    g0 = row3(lobes.geometric_normal, k)
-                    if dot(g0, d) > 0.0:
-                        _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, r * scale,
-                                  g * scale, b * scale, d[0], d[1], d[2], RAY_REFLECTION | RAY_GLOSSY | singular,
-                                  np.int64(1), np.int64(0))  # fmt: skip
-                        out.state.spread[m] = paths.state.spread[k]
-                        two = not singular and max(r, g, b) > STRONG
-                        wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
-                        grain = wide
-                        for part in range(2 if two else 1):
-                            if part == 1:
-                                _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, r * scale,
-                                          g * scale, b * scale, d[0], d[1], d[2],
-                                          RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
-                                out.state.spread[m] = paths.state.spread[k]
-                                wide *= REST / CORE
-                            _open_cone(
-                                cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2]
-                            )
-                            alpha[m] = 0.0 if singular else rough
-                            record.part[m] = part + 1 if two else 0
-                            for c in range(3):
-                                record.normal[m, c] = nm[c]
-                                record.incoming[m, c] = wi[c]
-                            m += 1
-            if base == REFRACTION or base == GLASS:
-                r, g, b = w[0] * transmitted[0], w[1] * transmitted[1], w[2] * transmitted[2]
-                go, scale = _survives(tables, seed, bounce, number, np.int64(2 * j + 2), max(r, g, b), weak)
-                ior = np.float64(lobes.data[k, j, IOR])
-                inverse = 1.0 / ior if ior > 0.0 else 1.0
-                square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
-                if go and max(r, g, b) > 0.0 and square > 0.0:
-                    if m >= room:
-                        return -1
-                    along = inverse * cosine - math.sqrt(square)
-                    d = (
-                        along * nm[0] - inverse * wi[0],
-                        along * nm[1] - inverse * wi[1],
-                        along * nm[2] - inverse * wi[2],
-                    )
-                    _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, r * scale, g * scale,
-                              b * scale, d[0], d[1], d[2], RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0),
-                              np.int64(1))  # fmt: skip
-                    out.state.spread[m] = paths.state.spread[k]
-                    bend = abs(1.0 - inverse) * rough
-                    wide = 0.0 if singular else WIDE * bend
-                    _open_cone(cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
-                    alpha[m] = 0.0 if singular else bend
-                    record.part[m] = 0
-                    for c in range(3):
-                        record.normal[m, c] = 0
-                    m += 1
+            r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
+            total += _largest(r) + _largest(g)
+        if not total > 0.0:
+            continue
+        chosen = bounce > 0 or total < WEAK
+        weak = WEAK if bounce == 0 else WEAK_LATER
+        target = 0.0
+        if chosen:
+            slot = paths.slot[k]
+            seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
+            target = sample_1d(tables, seed, np.uint32(64 * bounce + 8), samples.number[slot]) * max(total, weak)
+        before = 0.0
+        f = _branch(chosen, _largest(clear), before, target, total, weak)
+        before += max(_largest(clear), 0.0)
+        if f > 0.0:
+            _pass(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
+            record.alpha[m] = -1
+            record.part[m] = 0
+            record.cones.t_min[m] = record.cones.t_max[m] = 0.0
+            m += 1
+        for j in range(np.int64(lobes.count[k])):
+            r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
+            f = _branch(chosen, _largest(r), before, target, total, weak)
+            before += _largest(r)
+            if f > 0.0:
+                r = (r[0] * f, r[1] * f, r[2] * f)
+                m = _reflect(paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, wi, out, m, record)
+            f = _branch(chosen, _largest(g), before, target, total, weak)
+            before += _largest(g)
+            if f > 0.0:
+                g = (g[0] * f, g[1] * f, g[2] * f)
+                m = _refract(paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, wi, out, m, record)
     return m
+
+
+@device
+def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
+    """The cone of a lobe that reflects, or the two of one that matters, with throughput w; returns the next row."""
+    kind = lobes.kind[k, j]
+    nm = load3(lobes.data, k, j, NORMAL)
+    cosine = dot(nm, wi)
+    rough = math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+    if kind & KIND_MASK == ASHIKHMIN_SHIRLEY:
+        rough = 0.3
+    singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+    d = (2.0 * cosine * nm[0] - wi[0], 2.0 * cosine * nm[1] - wi[1], 2.0 * cosine * nm[2] - wi[2])
+    d = towards_normal(nm, d, rough)
+    if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
+        return m
+    two = singular == 0 and _largest(w) > STRONG
+    wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
+    grain = wide
+    for part in range(2 if two else 1):
+        if part == 1:
+            wide *= REST / CORE
+        _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
+                  RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
+        out.state.spread[m] = paths.state.spread[k]
+        _open_cone(record.cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2])
+        record.alpha[m] = 0.0 if singular else rough
+        record.part[m] = part + 1 if two else 0
+        for c in range(3):
+            record.normal[m, c] = nm[c]
+            record.incoming[m, c] = wi[c]
+        m += 1
+    return m
+
+
+@device
+def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
+    """The cone of a lobe that transmits, with throughput w; returns the next row."""
+    kind = lobes.kind[k, j]
+    nm = load3(lobes.data, k, j, NORMAL)
+    cosine = dot(nm, wi)
+    rough = math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+    singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+    ior = np.float64(lobes.data[k, j, IOR])
+    inverse = 1.0 / ior if ior > 0.0 else 1.0
+    square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
+    if not square > 0.0:
+        return m
+    along = inverse * cosine - math.sqrt(square)
+    d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
+    _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
+              RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
+    out.state.spread[m] = paths.state.spread[k]
+    bend = abs(1.0 - inverse) * rough
+    wide = 0.0 if singular else WIDE * bend
+    _open_cone(record.cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
+    record.alpha[m] = 0.0 if singular else bend
+    record.part[m] = 0
+    for c in range(3):
+        record.normal[m, c] = 0
+    return m + 1
 
 
 @device
@@ -274,20 +314,17 @@ def _pass(paths, k, out, m, hits, frames, limits, r, g, b):
 
 
 @uncounted
-def keep_lobes(lobes, alpha, diffuse_only, count):
-    """Drop the lobes of points 0..count that cones have taken: perfect mirrors and clear glass, or all but diffuse.
+def keep_lobes(lobes, alpha, count):
+    """Drop the lobes of points 0..count that only cones can follow: perfect mirrors and clear glass.
 
     alpha (N, L, 2): their roughness as lobe_light.widen_by_normals left it.
     """
     for k in range(count):
         kept = np.int64(0)
-        flags = np.int64(0)
         for j in range(np.int64(lobes.count[k])):
             kind = lobes.kind[k, j]
-            base = kind & KIND_MASK
-            if base > TRANSLUCENT and (diffuse_only or kind & SINGULAR_LOBE):
+            if kind & SINGULAR_LOBE:
                 continue
-            flags = np.int64(1)
             if kept != j:
                 lobes.kind[k, kept] = kind
                 alpha[k, kept, 0], alpha[k, kept, 1] = alpha[k, j, 0], alpha[k, j, 1]
@@ -295,5 +332,5 @@ def keep_lobes(lobes, alpha, diffuse_only, count):
                     lobes.data[k, kept, c] = lobes.data[k, j, c]
             kept += 1
         lobes.count[k] = kept
-        if flags == 0:
+        if kept == 0:
             lobes.flags[k] = 0

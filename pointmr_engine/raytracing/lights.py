@@ -99,21 +99,23 @@ class Lights:
             turns.append(None)
         if len(turns) == 1:
             return self
+        return self.asked(turns)
+
+    def taken(self, times: int) -> Lights:
+        """The same lights, one of all of which is chosen several times."""
+        parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
+        result = Lights(self.arrays, *parts, self.only_met, self.warnings)
+        result.turns = [None] * times
+        return result
+
+    def asked(self, turns: list[tuple[int, int] | None]) -> Lights:
+        """The same lights with these turns: (LAMP, k), (WORLD, 0), or None for one of the emissive triangles."""
+        a = self.arrays
         tree = build_light_tree(a.lamps, a.emitters, self.environment.map, apart=True)
         parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
         result = Lights(a._replace(tree=tree), *parts, self.only_met, self.warnings)
-        result.turns, result.empty = turns, False
+        result.turns, result.empty = turns, not turns
         return result
-
-    @cached_property
-    def emitters_alone(self) -> Lights | None:
-        """The same lights, of which `sample` chooses emissive triangles only; None where there are none to choose."""
-        a = self.arrays
-        if not len(a.emitters.path):
-            return None
-        tree = build_light_tree(compile_lamps([])[0], a.emitters, a.world._replace(mode=OFF))
-        parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
-        return Lights(a._replace(tree=tree), *parts, self.only_met, self.warnings)
 
     def sample(
         self,
