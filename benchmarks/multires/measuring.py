@@ -16,6 +16,7 @@ from benchmarks.multires.renderers import Renderer
 from benchmarks.processes import WorkerError
 
 SEED = 11
+TICK = 0.005  # seconds: Cycles tells hundredths, and 0.00 of a small image
 
 
 def measure(subject: str, methods: list[Method], size, runs: int, threads: int, out: Path) -> list[dict]:
@@ -82,7 +83,7 @@ def summarise(row: dict, answers: list[dict], rows: list[dict]) -> None:
     """Times (s) and memory (MB) of a row. render_s: one more image of a scene that is ready, least..most in "range_s".
     prepare_s: reading the scene and all that the first image takes more than a later one.
     """
-    seconds = [a["render_s"] for a in answers[1:]]
+    seconds = [max(a["render_s"], TICK) for a in answers[1:]]
     row["render_s"], row["range_s"] = statistics.median(seconds), [min(seconds), max(seconds)]
     row["peak_mb"] = max(a["peak_mb"] for a in answers)
     row["stats"] = answers[-1].get("stats", {})
