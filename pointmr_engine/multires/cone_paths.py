@@ -21,21 +21,27 @@ from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones, allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths, close_transparency
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
-from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, weigh_sub_rays
+from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import keep_lobes, scatter_lobes
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
-from pointmr_engine.raytracing.lights import EACH, LAMP, WORLD
+from pointmr_engine.raytracing.lights import LAMP, WORLD
 from pointmr_engine.raytracing.paths import BACKDROP
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 _WEIGHTS = cell_weights()
-WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4  # shadow rays of a fragment to the world, emitters, one of many lights
+WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = (
+    4,
+    2,
+    4,
+)  # shadow rays of a fragment to the world, emitters, one of many lights
+FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
+CONE_WORTH = 0.15  # throughput from which a lobe of the first surface takes a cone, below a ray
 STRONG = 0.25  # throughput from which what a lobe sees is lit by cones; below, by one light sample
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 MOST = 3  # fragments of a cone
@@ -56,9 +62,9 @@ class ConeLight:
         self.lights = lights = stage.lights
         arrays = lights.arrays
         lamps = len(arrays.lamps.shape)
-        if lamps <= EACH:
-            wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
-            turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
+        wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
+        turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
+        if len(wide) <= FEW and len(turns) <= FEW:
             turns += [(WORLD, 0)] * (WORLD_RAYS if arrays.tree.leaf_of_world != -1 else 0)
             turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
             self.rays = lights.asked(turns)
@@ -212,8 +218,6 @@ class ConePaths(FragmentPaths):
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
         )  # fmt: skip
-        if self.going < 0:
-            raise RuntimeError("more lobes than there is room for")
         if self.going:
             self.counters["lobe_cones"] += self.going
 
@@ -232,6 +236,8 @@ class ConePaths(FragmentPaths):
         """What the cones of n paths see is met; returns how many paths go on from there, in `then`."""
         light, lobes, met, hits = self.light, self.lobe_cones, self.met, self.hits
         weigh_sub_rays(lobes, np.int64(n))
+        strong = CONE_WORTH if bounce == 1 else 1.0
+        thin_out(now, lobes, self.samples, self.stage.tables, np.int64(bounce), strong, np.int64(n))
         most = max(1, min(MOST if bounce == 1 else 1, ROOM // n - 1))
         merging = Merging(most=most, seed=self.stage.settings.seed + bounce)
         met.rays.skip_triangle[:] = -1

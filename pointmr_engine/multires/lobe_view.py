@@ -13,14 +13,24 @@ import numpy as np
 
 from pointmr_engine.multires.cones import Cones
 from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import Paths
+
+STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
+    -1.0,
+    -2.0,
+    -3.0,
+)  # LobeCones.alpha of rays: passing, or what a cone was
+_NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
 
 
 class LobeCones(NamedTuple):
     """The cones of N paths, and the lobes that they stand for."""
 
     cones: Cones
-    alpha: np.ndarray  # (N,) float32 roughness: 0 a mirror, or clear; -1: no cone, the ray goes straight on
+    alpha: (
+        np.ndarray
+    )  # (N,) float32 roughness: 0 a mirror, or clear; below 0: a ray instead of a cone, as below
     normal: np.ndarray  # (N, 3) float32 of the lobe where it reflects; 0 where it transmits
     incoming: np.ndarray  # (N, 3) float32 to where the path came from
     # (N,) int8: 0 the whole lobe; 1 its core, whose next row is 2: what the same lobe sends beside its core
@@ -100,6 +110,36 @@ def _weigh(lobes: LobeCones, m):
         lobes.weights[m, b] = w
         total += w
     return total
+
+
+@uncounted
+def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, count):
+    """Cones 0..count whose throughput is below `strong` become a ray each: one of their sub-rays, by weight."""
+    c = lobes.cones
+    for m in range(count):
+        t = paths.throughput[m]
+        if lobes.alpha[m] < 0 or lobes.part[m] != 0 or max(t[0], t[1], t[2]) >= strong:
+            continue
+        c.t_min[m] = c.t_max[m] = 0.0
+        if lobes.alpha[m] <= 0.0:
+            lobes.alpha[m] = THROUGH_MIRROR
+            continue
+        slot = paths.slot[m]
+        seed = np.uint32(samples.seed[slot] ^ np.uint32(m))
+        target = sample_1d(tables, seed, np.uint32(64 * bounce + 9), samples.number[slot])
+        b = np.int64(0)
+        while b < 63:
+            target -= lobes.weights[m, b]
+            if target < 0.0:
+                break
+            b += 1
+        u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
+        v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
+        inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)
+        for a in range(3):
+            d = c.axes[m, 2, a] + u * c.axes[m, 0, a] + v * c.axes[m, 1, a]
+            paths.rays.direction[m, a] = d * inverse
+        lobes.alpha[m] = WITHIN_LOBE
 
 
 @uncounted
@@ -210,6 +250,6 @@ def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, r
         if lobes.alpha[k] < 0 and m < room:
             _copy_path(paths, np.int64(k), 1.0, out, m)
             _copy_ray(paths.rays, np.int64(k), out.rays, m)
-            alpha[m] = 0
+            alpha[m] = _NEARLY_SHARP if lobes.alpha[k] == WITHIN_LOBE else 0.0
             m += 1
     return count, escapes, m - count - escapes

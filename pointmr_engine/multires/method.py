@@ -108,5 +108,6 @@ class TracedTiles(Workspace):
         image = self.image
         return merge_fragments(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
-            image.view.perspective, np.float64(image.footprint), self.fragments, np.int64(count), self.into, self.largest,
+            image.view.perspective, np.float64(image.footprint), self.fragments, np.int64(count), self.into,
+            self.largest,
         )  # fmt: skip

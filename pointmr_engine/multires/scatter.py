@@ -12,6 +12,7 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
+from pointmr_engine.multires.lobe_view import STRAIGHT
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, THROUGH
@@ -117,7 +118,7 @@ def _open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
 
 @device
 def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
-    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 if it is diffuse."""
+    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 where diffuse."""
     zero = (0.0, 0.0, 0.0)
     kind = lobes.kind[k, j]
     base = kind & KIND_MASK
@@ -162,17 +163,16 @@ def _branch(chosen, weight, before, target, total, weak):
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
                   record):  # fmt: skip
-    """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many, -1 if over `room`.
+    """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
-    At the first surface every lobe goes on; behind it one of them, by chance. Straight transparency is a path without a
-    cone of its own: the ray goes on.
+    At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
+    transparency is a path without a cone of its own: the ray goes on.
     """
     m = np.int64(0)
     for k in range(n):
         if not alive[k]:
             continue
-        if m + 2 + 4 * np.int64(lobes.count[k]) > room:
-            return -1
+        crowded = m + 4 * np.int64(lobes.count[k]) + (n - k) > room
         wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
         t = paths.throughput[k]
         clear = (0.0, 0.0, 0.0)
@@ -188,19 +188,21 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             total += _largest(r) + _largest(g)
         if not total > 0.0:
             continue
-        chosen = bounce > 0 or total < WEAK
+        chosen = bounce > 0 or total < WEAK or crowded
         weak = WEAK if bounce == 0 else WEAK_LATER
         target = 0.0
         if chosen:
             slot = paths.slot[k]
             seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
-            target = sample_1d(tables, seed, np.uint32(64 * bounce + 8), samples.number[slot]) * max(total, weak)
+            target = sample_1d(tables, seed, np.uint32(64 * bounce + 8), samples.number[slot]) * max(
+                total, weak
+            )
         before = 0.0
         f = _branch(chosen, _largest(clear), before, target, total, weak)
         before += max(_largest(clear), 0.0)
         if f > 0.0:
             _pass(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
-            record.alpha[m] = -1
+            record.alpha[m] = STRAIGHT
             record.part[m] = 0
             record.cones.t_min[m] = record.cones.t_max[m] = 0.0
             m += 1
@@ -210,12 +212,16 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
-                m = _reflect(paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, wi, out, m, record)
+                m = _reflect(
+                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, wi, out, m, record
+                )
             f = _branch(chosen, _largest(g), before, target, total, weak)
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
-                m = _refract(paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, wi, out, m, record)
+                m = _refract(
+                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, wi, out, m, record
+                )
     return m
 
 
