@@ -290,9 +290,10 @@ class SampleSets:
         """Append the sets of the nodes with items in `ranges` (N, 2) to `out`; whole: they are all that is in the
         group."""
         if whole:
-            candidates, node = self._exposed(g, ranges, spacing)
+            candidates, node, whole_area = self._exposed(g, ranges, spacing)
         else:
             candidates, node = self._candidates.gather(g, ranges, spacing * PIECE, spacing * CANDIDATE)
+            whole_area = None
         if not len(node):
             out.append(StoredSets(np.zeros(len(ranges), np.int64), candidates))
             return
@@ -316,13 +317,20 @@ class SampleSets:
         if len(candidates.emission) == 1:
             emission[:] = candidates.emission
         merge_surfels(candidates.row, candidates.emission, owner, representative, row, emission)
+        if whole_area is not None:
+            # what is hidden takes no part in means, but it fills the gaps between what is seen
+            owned = owner >= 0
+            row[:, AREA] = np.bincount(owner[owned], whole_area[owned], len(order))
         typical = representative.astype(np.int64)
         typical_rows(candidates.row, owner, row, typical)
         made = Surfels(row, emission, candidates.source[typical], candidates.place[typical])
         out.append(StoredSets(np.bincount(home, minlength=len(ranges)), made))
 
-    def _exposed(self, g: int, ranges: np.ndarray, spacing: float) -> tuple[Surfels, np.ndarray]:
-        """Candidates as `Candidates.gather` has them, fine enough to tell what hides what; hidden ones lose area."""
+    def _exposed(self, g: int, ranges: np.ndarray, spacing: float) -> tuple[Surfels, np.ndarray, np.ndarray]:
+        """Candidates as `Candidates.gather` has them, fine enough to tell what hides what; hidden ones lose area.
+
+        The third value is the area (N,) that they had.
+        """
         fine = float(self.octree.arrays.group_side[g]) / EXPOSED_CELLS
         candidates, node = self._candidates.gather(
             g, ranges, min(spacing * PIECE, 4.0 * fine), min(spacing * CANDIDATE, fine)
@@ -333,7 +341,7 @@ class SampleSets:
                 self._exposures[key] = exposure(candidates.row)
         row = candidates.row.copy()
         row[:, AREA] *= self._exposures[key]
-        return candidates._replace(row=row), node
+        return candidates._replace(row=row), node, candidates.row[:, AREA].astype(np.float64)
 
     # What stands for a group's surface
 

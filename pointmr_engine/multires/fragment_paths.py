@@ -16,12 +16,15 @@ from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed
-from pointmr_engine.raytracing import paths
+from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage, Workspace
-from pointmr_engine.raytracing.surface import frames
+from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits, allocate_rays
+from pointmr_engine.raytracing.surface import allocate_frames, frames
+from pointmr_engine.scene.group import CAMERA
 
 BATCH = 4096  # fragments at once
-CLUMP = 0.5  # flatness below which a piece has no normal of its own
+DEEP = 16.0  # footprints before and behind a clump's representative where its visible surface is looked for
+CLUMP = 0.95  # flatness below which a piece has no normal of its own
 
 
 @uncounted
@@ -108,15 +111,17 @@ class FragmentPaths(Workspace):
         position = frame.position[:count].copy()
         entries = space.scratch.entries
         surfel_frames(to_world, entries, f, first_, n_, now.rays, frame, self.flat, self.spread)
+        # rays leave a real point of the piece, with what is around it: its centroid may lie inside
+        center = frame.position[:count].copy()
+        frame.position[:count] = position
         # a clump faces all ways: the triangle that represents it stands for one of them
-        clump = np.flatnonzero(self.flat[:count] < CLUMP)
+        clump = np.flatnonzero(entries.surfel[f.entry[first : first + count]] >= 0)
         for target, normals in zip(
             (frame.smooth_normal, frame.geometric_normal, frame.backfacing), own, strict=True
         ):
             target[clump] = normals[clump]
         self.spread[clump] = 0.0
-        # rays leave a real point of the piece, with what is around it: its centroid may lie inside
-        frame.position[:count] = position
+        self._look_at_clumps(now.rays, clump, center[clump], now.state.width)
         start_rays(now.rays, hits, self.frames, n_)
         if image.view.perspective:  # the footprint goes on growing behind mirrors
             now.state.spread[:count] = now.state.width[:count] / np.maximum(hits.t[:count], 1e-30)
@@ -129,6 +134,38 @@ class FragmentPaths(Workspace):
             bounce += 1
             n = self._bounce(self.tile, now, then, n, bounce)
         np.copyto(space.light[first : first + count], samples.radiance[:count], casting="same_kind")
+
+    def _look_at_clumps(self, camera_rays, rows: np.ndarray, center: np.ndarray, width: np.ndarray) -> None:
+        """Represent the fragments `rows` by what the camera sees of them: a ray each, through their centres.
+
+        A piece's own representative may be hidden in it, or seen from its edge, and lie in another light than what is
+        seen. center (len(rows), 3): of the pieces, world.
+        """
+        if not len(rows):
+            return
+        hits, frame = self.hits, self.frames
+        rays, seen = allocate_rays(len(rows)), allocate_hits(len(rows))
+        rays.direction[:] = camera_rays.direction[rows]
+        reach = DEEP * width[rows].astype(np.float64)
+        rays.origin[:] = center - reach[:, None] * rays.direction
+        rays.t_max[:] = 2.0 * reach
+        rays.visibility[:] = CAMERA
+        walk.intersect(self.stage.acceleration, rays, seen)
+        self.counters["clump_rays"] += len(rows)
+        found = np.flatnonzero(seen.triangle >= 0)
+        if not len(found):
+            return
+        at = frame.position[rows[found]].copy()
+        there = allocate_frames(len(found))
+        chosen = Hits(*(a[found] for a in seen))
+        frames(self.stage.shader.geometry, Rays(*(a[found] for a in rays)), chosen, there)
+        along = ((there.position - at) * rays.direction[found]).sum(1)
+        for target, values in zip(hits, chosen, strict=True):
+            if target is not hits.t:
+                target[rows[found]] = values
+        hits.t[rows[found]] += along
+        for target, values in zip(frame, there, strict=True):
+            target[rows[found]] = values
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:

@@ -50,9 +50,12 @@ class Texture:
         flat, ((_, width, height),) = self._finest
         levels = [flat.reshape(height, width, 4)]
         linear = None
+        apart = self.srgb and self.associated and _translucent(levels[0])
         while max(levels[-1].shape[:2]) > 1:
-            linear = _halve_decoded(levels[0], self.srgb, self.scale) if linear is None else _halve(linear)
-            levels.append(_encode(linear, self.srgb, flat.dtype))
+            linear = (
+                _halve_decoded(levels[0], self.srgb, self.scale, apart) if linear is None else _halve(linear)
+            )
+            levels.append(_encode(linear, self.srgb, flat.dtype, apart))
         sizes = [(level.shape[1], level.shape[0]) for level in levels]
         offsets = np.cumsum([0] + [4 * w * h for w, h in sizes[:-1]])
         table = np.array([(o, w, h) for o, (w, h) in zip(offsets, sizes, strict=True)], np.int64)
@@ -143,7 +146,29 @@ def _byte_codes() -> np.ndarray:
     return (_linear_to_srgb(np.arange(65536) / 65535) * 255 + 0.5).astype(np.uint8)
 
 
-def _encode(linear: np.ndarray, srgb: bool, dtype: np.dtype) -> np.ndarray:
+def _divide_alpha(texels: np.ndarray) -> np.ndarray:
+    """Colours of texels (..., 4) float32 divided by their alpha, where there is any."""
+    out = texels.copy()
+    alpha = texels[..., 3:]
+    np.divide(texels[..., :3], alpha, out=out[..., :3], where=alpha > 0)
+    return out
+
+
+def _times_alpha(texels: np.ndarray) -> np.ndarray:
+    out = texels.copy()
+    out[..., :3] *= texels[..., 3:]
+    return out
+
+
+def _encode(linear: np.ndarray, srgb: bool, dtype: np.dtype, apart: bool = False) -> np.ndarray:
+    """Texels of linear values. apart: colours are encoded without their alpha, and multiplied by it again."""
+    if apart:
+        straight = _divide_alpha(linear)
+        straight[..., :3] = _linear_to_srgb(straight[..., :3])
+        out = _times_alpha(straight)
+        if dtype == np.uint8:
+            return (np.clip(out, 0, 1) * 255 + 0.5).astype(np.uint8)
+        return out.astype(np.float32)
     if dtype == np.uint8:
         if not srgb:
             return (np.clip(linear, 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -157,13 +182,24 @@ def _encode(linear: np.ndarray, srgb: bool, dtype: np.dtype) -> np.ndarray:
     return out
 
 
-def _halve_decoded(level: np.ndarray, srgb: bool, scale: float) -> np.ndarray:
-    """The second level, linear, of the finest one; by bands of rows, so that large images need little room."""
+def _decode_apart(texels: np.ndarray, scale: float) -> np.ndarray:
+    """Linear colours times alpha, float32, of sRGB texels that were multiplied by alpha when they were encoded."""
+    straight = _divide_alpha(texels.astype(np.float32) * np.float32(scale))
+    straight[..., :3] = _srgb_to_linear(straight[..., :3])
+    return _times_alpha(straight)
+
+
+def _halve_decoded(level: np.ndarray, srgb: bool, scale: float, apart: bool = False) -> np.ndarray:
+    """The second level, linear, of the finest one; by bands of rows, so that large images need little room.
+
+    apart: as for `_encode`: averages of colours are weighted by their alpha.
+    """
     height = level.shape[0]
-    if height % 2:
-        return _halve(_decode(level, srgb, scale))
-    rows = 256
-    bands = [_halve(_decode(level[y : y + rows], srgb, scale)) for y in range(0, height, rows)]
+    rows = height if height % 2 else 256
+    bands = [
+        _halve(_decode_apart(band, scale) if apart else _decode(band, srgb, scale))
+        for band in (level[y : y + rows] for y in range(0, height, rows))
+    ]
     return np.concatenate(bands)
 
 
