@@ -318,9 +318,9 @@ class SampleSets:
             emission[:] = candidates.emission
         merge_surfels(candidates.row, candidates.emission, owner, representative, row, emission)
         if whole_area is not None:
-            # what is hidden takes no part in means, but it fills the gaps between what is seen
+            # what is hidden takes no part in means, but it fills gaps between what is seen: half of it, measured
             owned = owner >= 0
-            row[:, AREA] = np.bincount(owner[owned], whole_area[owned], len(order))
+            row[:, AREA] = np.sqrt(row[:, AREA] * np.bincount(owner[owned], whole_area[owned], len(order)))
         typical = representative.astype(np.int64)
         typical_rows(candidates.row, owner, row, typical)
         made = Surfels(row, emission, candidates.source[typical], candidates.place[typical])

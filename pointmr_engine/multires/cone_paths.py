@@ -65,7 +65,8 @@ class ConeLight:
         wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
         turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
         if len(wide) <= FEW and len(turns) <= FEW:
-            turns += [(WORLD, 0)] * (WORLD_RAYS if arrays.tree.leaf_of_world != -1 else 0)
+            rays = WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS  # those that pass leaves are dear
+            turns += [(WORLD, 0)] * (rays if arrays.tree.leaf_of_world != -1 else 0)
             turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
             self.rays = lights.asked(turns)
         else:

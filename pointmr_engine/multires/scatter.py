@@ -42,7 +42,7 @@ CORE, REST = (
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.1  # weight from which a lobe matters
-WEAK, WEAK_LATER = 0.03, 0.1  # throughputs below it go on by chance, at the first surface and behind it
+WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
 
 
 @device
