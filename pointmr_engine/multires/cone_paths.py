@@ -41,8 +41,8 @@ WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = (
 )  # shadow rays of a fragment to the world, emitters, one of many lights
 FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
-CONE_WORTH = 0.15  # throughput from which a lobe of the first surface takes a cone, below a ray
-STRONG = 0.25  # throughput from which what a lobe sees is lit by cones; below, by one light sample
+CONE_WORTH = 0.5  # throughput from which a lobe of the first surface takes a cone, below a ray
+STRONG = 0.5  # throughput from which what a lobe sees is lit by cones; below, by one light sample
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 MOST = 3  # fragments of a cone
 OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up

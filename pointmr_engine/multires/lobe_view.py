@@ -22,6 +22,7 @@ STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
     -3.0,
 )  # LobeCones.alpha of rays: passing, or what a cone was
 _NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
+FINE = 4  # places per side of the cells beside a lobe's core at which the lobe is taken
 
 
 class LobeCones(NamedTuple):
@@ -67,46 +68,45 @@ def _in_core(c, m, x, y, z):
 
 
 @device
+def _density(lobes: LobeCones, m, u, v, alpha2):
+    """What the lobe of cone m sends through slopes (u, v), per area of slopes, times a constant; 0 in its core's."""
+    c = lobes.cones
+    inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)
+    w = inverse * inverse * inverse
+    nx, ny, nz = lobes.normal[m, 0], lobes.normal[m, 1], lobes.normal[m, 2]
+    if nx * nx + ny * ny + nz * nz == 0.0:
+        r2 = (u * u + v * v) / (4.0 * alpha2)
+        return w / ((1.0 + r2) * (1.0 + r2))
+    dx = (c.axes[m, 2, 0] + u * c.axes[m, 0, 0] + v * c.axes[m, 1, 0]) * inverse
+    dy = (c.axes[m, 2, 1] + u * c.axes[m, 0, 1] + v * c.axes[m, 1, 1]) * inverse
+    dz = (c.axes[m, 2, 2] + u * c.axes[m, 0, 2] + v * c.axes[m, 1, 2]) * inverse
+    cosine = nx * dx + ny * dy + nz * dz
+    if cosine <= 0.0 or (lobes.part[m] == 2 and _in_core(c, m - 1, dx, dy, dz)):
+        return 0.0
+    hx, hy, hz = dx + lobes.incoming[m, 0], dy + lobes.incoming[m, 1], dz + lobes.incoming[m, 2]
+    h = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
+    d = h * h * (alpha2 - 1.0) + 1.0
+    return w * cosine * _smith(cosine, alpha2) / (d * d)
+
+
+@device
 def _weigh(lobes: LobeCones, m):
     """Fill the weights of cone m by what its lobe sends through the sub-rays' cells; returns their sum."""
     c = lobes.cones
-    alpha = np.float64(lobes.alpha[m])
-    alpha2 = alpha * alpha
-    nx, ny, nz = (
-        np.float64(lobes.normal[m, 0]),
-        np.float64(lobes.normal[m, 1]),
-        np.float64(lobes.normal[m, 2]),
-    )
-    reflects = nx * nx + ny * ny + nz * nz > 0.0
-    ix, iy, iz = (
-        np.float64(lobes.incoming[m, 0]),
-        np.float64(lobes.incoming[m, 1]),
-        np.float64(lobes.incoming[m, 2]),
-    )
-    rest = lobes.part[m] == 2
-    cell = c.spread[m, 0] * c.spread[m, 1]
+    alpha2 = np.float64(lobes.alpha[m]) ** 2
+    wide_u, wide_v = 0.25 * c.spread[m, 0], 0.25 * c.spread[m, 1]
+    # beside the core the lobe falls steeply within a cell, which the core may cover in part
+    near = 2.0 * c.spread[m - 1, 0] if lobes.part[m] == 2 else 0.0
     total = 0.0
     for b in range(64):
-        u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
-        v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
-        square = 1.0 + u * u + v * v
-        w = cell * square**-1.5
-        if reflects:
-            inverse = 1.0 / math.sqrt(square)
-            dx = (c.axes[m, 2, 0] + u * c.axes[m, 0, 0] + v * c.axes[m, 1, 0]) * inverse
-            dy = (c.axes[m, 2, 1] + u * c.axes[m, 0, 1] + v * c.axes[m, 1, 1]) * inverse
-            dz = (c.axes[m, 2, 2] + u * c.axes[m, 0, 2] + v * c.axes[m, 1, 2]) * inverse
-            cosine = nx * dx + ny * dy + nz * dz
-            if cosine <= 0.0 or (rest and _in_core(c, m - 1, dx, dy, dz)):
-                w = 0.0
-            else:
-                hx, hy, hz = dx + ix, dy + iy, dz + iz
-                h = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
-                d = h * h * (alpha2 - 1.0) + 1.0
-                w *= cosine * _smith(cosine, alpha2) / (d * d)
-        else:
-            r2 = (u * u + v * v) / (4.0 * alpha2)
-            w /= (1.0 + r2) * (1.0 + r2)
+        u, v = ((b & 7) - 4.0) * wide_u, ((b >> 3) - 4.0) * wide_v
+        across = max(abs(u + 0.5 * wide_u), abs(v + 0.5 * wide_v) * wide_u / max(wide_v, 1e-30))
+        n = np.int64(FINE if across < near + 0.5 * wide_u else 1)
+        w = 0.0
+        for j in range(n):
+            for i in range(n):
+                w += _density(lobes, m, u + (i + 0.5) / n * wide_u, v + (j + 0.5) / n * wide_v, alpha2)
+        w *= wide_u * wide_v / (n * n)
         lobes.weights[m, b] = w
         total += w
     return total

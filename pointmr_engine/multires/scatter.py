@@ -42,6 +42,7 @@ CORE, REST = (
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.1  # weight from which a lobe matters
+SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
 
 
@@ -188,7 +189,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             total += _largest(r) + _largest(g)
         if not total > 0.0:
             continue
-        chosen = bounce > 0 or total < WEAK or crowded
+        chosen = bounce > 0 or total < SPLIT or crowded
         weak = WEAK if bounce == 0 else WEAK_LATER
         target = 0.0
         if chosen:
