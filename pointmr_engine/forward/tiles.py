@@ -163,11 +163,12 @@ class Workspace:
                 if name == "emission":
                     block = block * image.settings.film_exposure
                 elif name == "normal":
-                    block = block @ to_world[:, :3].T
+                    block = np.einsum("yxk,ck->yxc", block, to_world[:, :3])
             elif name == "depth":
                 block = np.where(seen, f.position[k][..., 2], NOTHING)[..., None]
             elif name == "position":
-                block = (f.position[k] @ to_world[:, :3].T + to_world[:, 3]) * seen[..., None]
+                block = np.einsum("yxk,ck->yxc", f.position[k], to_world[:, :3])
+                block = (block + to_world[:, 3]) * seen[..., None]
             elif name == "object_index":
                 block = np.zeros((rows, columns, 1), np.float32)
                 block[seen, 0] = self.placement_values(hierarchy).object_index[f.row[nearest[seen]]]
@@ -217,6 +218,8 @@ class Workspace:
             d /= np.linalg.norm(d, axis=1, keepdims=True)
         else:
             d[:, :2] = 0
-        world = d @ image.camera.world_from_camera[:, :3].T
+        world = np.einsum(
+            "nk,ck->nc", d, image.camera.world_from_camera[:, :3]
+        )  # BLAS would start threads for it
         self.background[y, x, :3] = image.sampler.environment.radiance(world, CAMERA)
         self.background[y, x, 3] = 1

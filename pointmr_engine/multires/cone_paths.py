@@ -8,6 +8,7 @@ as paths with the weight of their coverage.
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -65,20 +66,30 @@ class ConeLight:
         wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
         turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
         if len(wide) <= FEW and len(turns) <= FEW:
-            rays = WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS  # those that pass leaves are dear
+            rays = (
+                WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS
+            )  # those that pass leaves are dear
             turns += [(WORLD, 0)] * (rays if arrays.tree.leaf_of_world != -1 else 0)
             turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
             self.rays = lights.asked(turns)
         else:
             wide, self.rays = [], lights.taken(MANY_RAYS)
         self.lamps = compile_lamps([scene.lights[arrays.lamps.source[k]] for k in wide])[0]
-        if sampler.prefiltered is None:
-            opacity = mean_opacity(sampler)
-            whole = prefilter(stage.acceleration)
-            clear = whole if (opacity == 1.0).all() else prefilter(stage.acceleration, opacity)
-            sampler.prefiltered = clear, whole
-        # shadows pass what is transparent by its mean opacity; lobes see surfaces, whose shading lets them through
-        self.prefiltered, self.prefiltered_whole = sampler.prefiltered
+        self._sampler, self._lock = sampler, threading.Lock()
+
+    def prefiltered(self) -> tuple:
+        """What shadow cones walk and what lobes' cones walk, made when the first cone asks.
+
+        Shadows pass what is transparent by its mean opacity; lobes see surfaces, whose shading lets them through.
+        """
+        sampler = self._sampler
+        with self._lock:
+            if sampler.prefiltered is None:
+                opacity = mean_opacity(sampler)
+                whole = prefilter(self.acceleration)
+                clear = whole if (opacity == 1.0).all() else prefilter(self.acceleration, opacity)
+                sampler.prefiltered = clear, whole
+        return sampler.prefiltered
 
     def stage(self, stage: Stage, lights) -> Stage:
         """The integrator's stage whose light samples ask `lights`."""
@@ -91,7 +102,7 @@ class ConeLight:
 
     def blocked(self, cones: Cones, count: int, masks: np.ndarray) -> None:
         """masks (N,) uint64: the sub-rays of cones 0..count that something stops."""
-        visible(self.acceleration, self.prefiltered, cones, masks, None, 0, count)
+        visible(self.acceleration, self.prefiltered()[0], cones, masks, None, 0, count)
 
 
 def _is_wide(lamps, k: int) -> bool:
@@ -219,8 +230,6 @@ class ConePaths(FragmentPaths):
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
         )  # fmt: skip
-        if self.going:
-            self.counters["lobe_cones"] += self.going
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
         """Nothing: `_direct_light` has done it, for it drops lobes."""
@@ -242,10 +251,14 @@ class ConePaths(FragmentPaths):
         most = max(1, min(MOST if bounce == 1 else 1, ROOM // n - 1))
         merging = Merging(most=most, seed=self.stage.settings.seed + bounce)
         met.rays.skip_triangle[:] = -1
-        count = gather(
-            light.acceleration, light.prefiltered_whole, lobes.cones, self.met_fragments, met.rays, hits, self.escaped,
-            None, 0, n, merging=merging,
-        )  # fmt: skip
+        cones = int(np.count_nonzero(lobes.alpha[:n] >= 0))
+        self.counters.update(lobe_cones=cones, lobe_rays=n - cones)
+        count = 0
+        if cones:
+            count = gather(
+                light.acceleration, light.prefiltered()[1], lobes.cones, self.met_fragments, met.rays, hits,
+                self.escaped, None, 0, n, merging=merging,
+            )  # fmt: skip
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
             self.lobe_alpha,

@@ -115,7 +115,7 @@ class FragmentPaths(Workspace):
         center = frame.position[:count].copy()
         frame.position[:count] = position
         # a clump faces all ways: the triangle that represents it stands for one of them
-        clump = np.flatnonzero(entries.surfel[f.entry[first : first + count]] >= 0)
+        clump = np.flatnonzero(self.flat[:count] < CLUMP)
         for target, normals in zip(
             (frame.smooth_normal, frame.geometric_normal, frame.backfacing), own, strict=True
         ):

@@ -22,7 +22,7 @@ STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
     -3.0,
 )  # LobeCones.alpha of rays: passing, or what a cone was
 _NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
-FINE = 4  # places per side of the cells beside a lobe's core at which the lobe is taken
+FINE = 4  # places per side at which the lobe is taken in cells that its core covers in part
 
 
 class LobeCones(NamedTuple):
@@ -95,13 +95,13 @@ def _weigh(lobes: LobeCones, m):
     c = lobes.cones
     alpha2 = np.float64(lobes.alpha[m]) ** 2
     wide_u, wide_v = 0.25 * c.spread[m, 0], 0.25 * c.spread[m, 1]
-    # beside the core the lobe falls steeply within a cell, which the core may cover in part
-    near = 2.0 * c.spread[m - 1, 0] if lobes.part[m] == 2 else 0.0
+    # cells of the rest that the core covers in part send what is left of them
+    near = 1.3 * c.spread[m - 1, 0] if lobes.part[m] == 2 else 0.0
     total = 0.0
     for b in range(64):
         u, v = ((b & 7) - 4.0) * wide_u, ((b >> 3) - 4.0) * wide_v
         across = max(abs(u + 0.5 * wide_u), abs(v + 0.5 * wide_v) * wide_u / max(wide_v, 1e-30))
-        n = np.int64(FINE if across < near + 0.5 * wide_u else 1)
+        n = np.int64(FINE if across < near else 1)
         w = 0.0
         for j in range(n):
             for i in range(n):

@@ -64,7 +64,11 @@ class TracedImage(Image):
         return *super().fits, self.space_of.__name__, self.tile, len(self.views)
 
     def needs(self) -> dict:
-        return super().needs() | {"lens": self.stage.needs.lens, "lens_views": max(len(self.views), 1)}
+        return super().needs() | {
+            "lens": self.stage.needs.lens,
+            "lens_views": max(len(self.views), 1),
+            "prefiltered_points": self.sampler.prefiltered is not None,
+        }
 
 
 class TracedShading:

@@ -112,6 +112,33 @@ def test_alpha_modes():
     assert look("NONE", True) == pytest.approx([200, 100, 50, 255], abs=1e-3)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("size", [(32, 32), (21, 13)])
+def test_no_level_is_brighter_than_the_colour_under_its_alpha(size, dtype):
+    """A leaf's image: sRGB, one colour where it is opaque, anything where it is clear. All levels have that colour."""
+    rng = np.random.default_rng(3)
+    for color in (1.0, 0.5):
+        pixels = rng.random((*size, 4)).astype(np.float32)
+        pixels[..., 3] = rng.random(size) < 0.3
+        pixels[pixels[..., 3] == 1, :3] = color
+        alpha = pixels[..., 3].mean()
+        if dtype == np.uint8:
+            pixels = (pixels * 255 + 0.5).astype(np.uint8)
+        texture = Texture(Image("leaf", pixels, "sRGB", alpha="STRAIGHT"))
+        levels = len(texture.pyramid[1])
+        code = np.rint(255 * color) / 255 if dtype == np.uint8 else color
+        expected = 1.0 if color == 1.0 else ((code + 0.055) / 1.055) ** 2.4
+        uv = rng.random((300, 2)).astype(np.float32)
+        for k in range(1, levels + 1):
+            footprint = np.full(1, 2.0**k / max(size), np.float32)
+            found = texture.look_up(uv, footprint, unassociate=True)
+            seen = found[:, 3] > 0.1
+            assert found.max() <= 1.0 + 1e-3
+            assert found[seen, :3] == pytest.approx(expected, abs=0.02)
+            assert found[:, 3].mean() == pytest.approx(alpha, abs=0.05 if k < 3 else 0.02)
+        assert found[:, 3] == pytest.approx(alpha, abs=0.003)
+
+
 def test_one_pyramid_per_image():
     image = picture()
     assert texture_of(image) is texture_of(image)
