@@ -14,6 +14,7 @@ from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
+from pointmr_engine.multires.curvature import spread_of_curvature
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 from pointmr_engine.raytracing import paths, walk
@@ -121,6 +122,9 @@ class FragmentPaths(Workspace):
         ):
             target[clump] = normals[clump]
         self.spread[clump] = 0.0
+        triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
+        tables = self.stage.shader.geometry.tables
+        spread_of_curvature(tables, hits, now.state.width, triangles, np.int64(len(triangles)), self.spread)
         self._look_at_clumps(now.rays, clump, center[clump], now.state.width)
         start_rays(now.rays, hits, self.frames, n_)
         if image.view.perspective:  # the footprint goes on growing behind mirrors
