@@ -41,7 +41,7 @@ CORE, REST = (
     10.0,
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 WIDEST = 3.0  # tangent of a cone's half angle at most
-STRONG = 0.1  # weight from which a lobe matters
+STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray (cone_paths.CONE_WORTH)
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
 
