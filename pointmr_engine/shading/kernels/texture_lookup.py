@@ -125,7 +125,12 @@ def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
         f = level - base
         if f > 0.0 and base < last:
             lookup_level(texels, levels, base + 1, u, v, extension, flags, scale, coarse)
-            for c in range(4):
-                fine[c] += f * (coarse[c] - fine[c])
+            share = f
+            if flags & UNASSOCIATE:  # colours count by their alpha: where there is none, there is no colour
+                total = (1.0 - f) * fine[3] + f * coarse[3]
+                share = f * coarse[3] / total if total > 0.0 else f
+            for c in range(3):
+                fine[c] += share * (coarse[c] - fine[c])
+            fine[3] += f * (coarse[3] - fine[3])
         for c in range(4):
             out[i, c] = fine[c]
