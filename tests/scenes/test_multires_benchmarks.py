@@ -48,6 +48,7 @@ def test_page_tells_times_at_equal_error_and_failures(tmp_path):
     assert float(samples) == pytest.approx(10.0, rel=0.01)
     apart, together = (float(t) for t in times.split("\\|"))
     assert apart == pytest.approx(1.0, rel=0.1) and together == pytest.approx(1.0, rel=0.02)
+    pytest.importorskip("matplotlib", reason="plots need the bench extra")
     page.write([result], tmp_path)
     text = (tmp_path / "raytrace.md").read_text()
     assert "out of memory" in text and "| 2.00 |" in text and (tmp_path / "raytrace-gn_trees.png").is_file()
