@@ -199,11 +199,11 @@ def towards_normal(normal, direction, roughness):
 
 
 @uncounted
-def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, arriving, count, out):
+def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, count, out):
     """Add the world's light that points 0..count send to the viewer to out (N, 3) float32.
 
     diffuse, glossy, transmission: WorldMaps; tables: albedo_tables.Tables. What transmits looks straight into the
-    world. arriving (N or 0, 2, 3) float32: of the irradiance in front and from behind, what arrives.
+    world.
     """
     for k in range(count):
         wi = row3(incoming, k)
@@ -229,13 +229,6 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, ar
                         f[0] + plane * (e[0] - f[0]),
                         f[1] + plane * (e[1] - f[1]),
                         f[2] + plane * (e[2] - f[2]),
-                    )
-                if len(arriving) > 0:
-                    side = np.int64(1) if base == TRANSLUCENT else np.int64(0)
-                    e = (
-                        e[0] * arriving[k, side, 0],
-                        e[1] * arriving[k, side, 1],
-                        e[2] * arriving[k, side, 2],
                     )
                 r += w[0] * e[0]
                 g += w[1] * e[1]

@@ -21,7 +21,6 @@ from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 
 BATCH = 8192  # fragments at once: their lobes stay in the cache
-_OPEN = np.ones((0, 2, 3), np.float32)  # nothing stands between the fragments and the world
 
 
 class FullShading:
@@ -102,7 +101,7 @@ class FullShading:
         if not image.sampler.environment.black:
             shade_world(
                 own.lobes, own.view.incoming, own.flat, self.shader.tables, world.diffuse, world.glossy,
-                world.transmission, _OPEN, n_, light,
+                world.transmission, n_, light,
             )  # fmt: skip
         return finish(own.lobes, own.hits.holdout, f, first_, n_, space.light, own.clear)
 

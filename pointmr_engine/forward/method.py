@@ -51,7 +51,7 @@ class Sampler:
         self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
         self.ambient = self.world_light.mean
-        self.prefiltered = None  # hierarchy.prefilter.Prefiltered, made when cones first ask for it
+        self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_paths.ConeLight)
         self.sets: dict[tuple, SampleSets] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
@@ -113,7 +113,7 @@ class Image:
             self.apron = scattered.reach(self.sigma)
         octree = sampler.octree
         root = len(sampler.geometry.groups) - 1
-        z = _depth_range(camera.camera_from_world, octree.lower[root], octree.upper[root])
+        z = depth_range(camera.camera_from_world, octree.lower[root], octree.upper[root])
         self.view = make_view(camera, self.subpixels, z)
         self.pixel = self.subpixels / (self.view.scale_x * self.view.scale_y) ** 0.5
         self.scene_lights = [*scene.lights, *sampler.world_light.suns, *sampler.emissive_lamps]
@@ -196,7 +196,7 @@ class Image:
         )
 
 
-def _depth_range(camera_from_world: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[float, float]:
+def depth_range(camera_from_world: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[float, float]:
     """Smallest and largest depth along the view axis of a box in world space."""
     if not np.isfinite(lower).all():
         return 0.0, 1.0

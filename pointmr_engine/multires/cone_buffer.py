@@ -7,30 +7,29 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.hierarchy.acceleration import EMPTY
-from pointmr_engine.multires.cone_space import BOTTOM, FLAGS, KIND, SEED, set_cone, set_constants
+from pointmr_engine.multires.cone_space import BOTTOM, FLAGS, KIND, SEED
 from pointmr_engine.multires.cone_walk import (
     BLOCKS,
     ENTERED,
     NODES,
     POINTS,
     TRIANGLES,
+    begin,
     dithered,
     enter,
     meeting,
     plane_of,
     point_mask,
+    push_boxes,
     seen_by,
     triangle_opacity,
 )
 from pointmr_engine.numerics.jit import device
-from pointmr_engine.numerics.pointers import load_f32, load_i32, load_i64
+from pointmr_engine.numerics.pointers import load_f32, load_i32
 from pointmr_engine.numerics.simd import trailing_zeros
 from pointmr_engine.numerics.simd_cone import (
-    COLUMNS,
     CONSTANTS,
     DEPTH,
-    FRONT,
-    LINES,
     cone_boxes,
     cone_points,
     cone_triangles,
@@ -148,15 +147,9 @@ def fill(w, s, cones, n, counters, levels, scratch, style, buffer):
     for bit in range(64):
         buffer.nearness[bit] = -np.float32(np.inf)
     buffer.used[0], buffer.used[1] = 0, 0
-    set_cone(levels, cones, n)
-    level, sp, group = np.int64(0), np.int64(0), np.int64(w.root)
-    state[0, KIND], state[0, FLAGS], state[0, BOTTOM], state[0, SEED] = ~group, VISIBLE, 0, 0
-    levels.depth[0], buffer.level_place[0] = 0, -1
-    node = load_i32(w.group_root, group)
-    if node >= 0:
-        set_constants(
-            levels, level, scratch.constants, w.group_center, w.group_radius, group, cones, n, style
-        )
+    level, sp = np.int64(0), np.int64(0)
+    buffer.level_place[0] = -1
+    node = begin(w, levels, scratch, cones, n, style)
     while buffer.used[0] < ENTRIES - 16:
         if node >= 0:
             counters[NODES] += 1
@@ -180,21 +173,7 @@ def fill(w, s, cones, n, counters, levels, scratch, style, buffer):
                     if covered != 0:
                         t = load_f32(scratch.ellipses, 8 * DEPTH + lane) + offset
                         mask |= _draw_point(levels, level, buffer, ~element, covered, t)
-            first = sp
-            while bits != 0:
-                lane = trailing_zeros(bits)
-                bits &= bits - 1
-                columns = np.int64(load_f32(scratch.boxes, 8 * COLUMNS + lane))
-                lines = np.int64(load_f32(scratch.boxes, 8 * LINES + lane))
-                front = np.float32(load_f32(scratch.boxes, 8 * FRONT + lane) + offset)
-                j = sp
-                while j > first and fronts[j - 1] < front:
-                    stack[j, 0], stack[j, 1], fronts[j] = stack[j - 1, 0], stack[j - 1, 1], fronts[j - 1]
-                    j -= 1
-                stack[j, 0] = load_i32(w.children, 8 * node + lane)
-                stack[j, 1] = load_i64(s.columns, columns) & load_i64(s.lines, lines)
-                fronts[j] = front
-                sp += 1
+            sp = push_boxes(w, s, scratch, node, bits, np.int64(0), offset, sp)
         elif node != EMPTY:
             part = state[level, KIND]
             if part < 0:

@@ -11,12 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.hierarchy.acceleration import EMPTY
-from pointmr_engine.multires.cone_space import append, child_group
+from pointmr_engine.multires.cone_space import append
 from pointmr_engine.multires.cone_walk import corner
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.pointers import load_f32, load_i32, load_i64
 from pointmr_engine.numerics.simd import BLOCK_FLOATS
 from pointmr_engine.numerics.simd_cone import POINT_ROWS, PP
+from pointmr_engine.raytracing.walk import child_group
 
 TRIES = 3
 

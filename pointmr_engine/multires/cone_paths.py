@@ -1,8 +1,8 @@
-"""Light by cones: at every surface, shadows, the world and what lobes see are each found by cones, without chance.
+"""Light by cones where they are the cheaper way, and by stratified rays elsewhere: `ConeLight` decides.
 
-A workspace of raytracing's integrator whose three stages are replaced: direct light is the exact light of lamps and
-world times the share that shadow cones find open; scattering sends a cone for every lobe; what the cones meet goes on
-as paths with the weight of their coverage.
+A workspace of raytracing's integrator whose stages are replaced: the direct light of wide lamps is their open light
+times the share that shadow cones find free; strong lobes send cones, and what these meet goes on as paths with the
+weight of their coverage.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones, allocate_cones
-from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths, close_transparency
+from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import keep_lobes, scatter_lobes
@@ -29,17 +29,13 @@ from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
 from pointmr_engine.raytracing.lights import LAMP, WORLD
-from pointmr_engine.raytracing.paths import BACKDROP
 from pointmr_engine.raytracing.surface import frames
-from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 _WEIGHTS = cell_weights()
-WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = (
-    4,
-    2,
-    4,
-)  # shadow rays of a fragment to the world, emitters, one of many lights
+# shadow rays of a fragment to the world, to emitters, to one of many lights
+WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4
 FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
 CONE_WORTH = 0.5  # throughput from which a lobe of the first surface takes a cone, below a ray
@@ -66,9 +62,8 @@ class ConeLight:
         wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
         turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
         if len(wide) <= FEW and len(turns) <= FEW:
-            rays = (
-                WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS
-            )  # those that pass leaves are dear
+            # rays that pass leaves are dear
+            rays = WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS
             turns += [(WORLD, 0)] * (rays if arrays.tree.leaf_of_world != -1 else 0)
             turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
             self.rays = lights.asked(turns)
@@ -135,7 +130,7 @@ def mean_opacity(sampler) -> np.ndarray:
 
 
 class ConePaths(FragmentPaths):
-    """One thread's paths by cones. light: method.ConeLight, what all threads share."""
+    """One thread's paths by cones. light: ConeLight, what all threads share."""
 
     def __init__(self, stage, light):
         super().__init__(light.stage(stage, light.rays), ROOM)
@@ -163,9 +158,8 @@ class ConePaths(FragmentPaths):
         if bounce:
             self.flat[:n] = 1.0
             self.spread[:n] = 0.0
-        widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
-        if bounce == 0:
-            close_transparency(self.lobes, now.throughput, np.int64(n))
+            widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
+        super().shaded(now, n, bounce)
 
     def roulette(self, now, n: int, alive, bounce: int) -> None:
         """Nothing: what is weak is left to chance where it is scattered."""
@@ -270,47 +264,31 @@ class ConePaths(FragmentPaths):
         frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
         return self.meet(tile, met, then, total, bounce) if total else 0
 
-    def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:
-        """What camera rays and lobes see besides surfaces: lamps, where nothing widens the view, and the world."""
-        light, stage = self.light, self.stage
-        if len(light.lights.arrays.met_lamps):
-            sharp = np.ones(n, np.bool_) if bounce == 0 else self.lobe_alpha[:n] <= 0.0
-            met = np.zeros((n, 3), np.float32)
-            light.lights.seen_lamps(
-                rays.origin, rays.direction, self.hits.t[:n], rays.visibility, now.origin_normal[:n],
-                now.origin_transmissive[:n], now.bsdf_pdf[:n], met,
-            )  # fmt: skip
-            paths.add_radiance(now, self.samples, stage.limits, met, sharp.astype(np.float64), n)
-        missed = ~alive
-        if not missed.any():
-            return
-        if stage.settings.film_transparent:
-            paths.see_through(now, self.samples, missed, n)
-            missed &= (now.flags[:n] & BACKDROP) == 0
-        if light.lights.environment.black:
-            return
-        radiance = np.zeros((n, 3), np.float32)
-        for bit, maps in (
-            (CAMERA, None),
-            (GLOSSY, light.world.glossy),
-            (TRANSMISSION, light.world.transmission),
-        ):
-            rows = np.flatnonzero(missed & (rays.visibility == bit))
-            if not len(rows):
-                continue
-            sharp = np.ones(len(rows), np.bool_) if maps is None else self.lobe_alpha[rows] <= 0.0
-            exact, wide = rows[sharp], rows[~sharp]
-            if len(exact):
-                radiance[exact] = light.lights.world_radiance(rays.direction[exact], bit)
-            if len(wide):
-                look_at_world(maps, rays.direction, self.lobe_alpha, wide, radiance)
-        paths.add_radiance(now, self.samples, stage.limits, radiance, self.ones[:n], n)
+    def sees_lamps(self, n: int, bounce: int) -> np.ndarray:
+        """Lamps are seen where nothing widens the view: elsewhere they are lit by."""
+        return np.ones(n) if bounce == 0 else (self.lobe_alpha[:n] <= 0.0).astype(np.float64)
+
+    def seen_world(self, now, rays, rows: np.ndarray, bit: int):
+        """The world, blurred by the lobes that see it; light samples look for it at diffuse lobes alone."""
+        maps = {GLOSSY: self.light.world.glossy, TRANSMISSION: self.light.world.transmission}.get(bit)
+        if maps is None:
+            return self.stage.lights.world_radiance(rays.direction[rows], bit), 1.0
+        radiance = np.empty((len(rows), 3), np.float32)
+        sharp = self.lobe_alpha[rows] <= 0.0
+        if sharp.any():
+            radiance[sharp] = self.stage.lights.world_radiance(rays.direction[rows[sharp]], bit)
+        wide = rows[~sharp]
+        if len(wide):
+            seen = np.empty((len(wide), 3), np.float32)
+            look_at_world(maps, rays.direction, self.lobe_alpha, wide, seen)
+            radiance[~sharp] = seen
+        return radiance, 1.0
 
 
 @uncounted
 def look_at_world(maps, direction, alpha, rows, out):
-    """Radiance of the world that lobes of roughness alpha (N,) see in direction (N, 3) to rows of out (N, 3)."""
+    """World radiance that lobes of roughness alpha (N,) see in direction (N, 3), `rows` of them, to out (R, 3)."""
     for i in range(len(rows)):
         k = rows[i]
         r, g, b = world_lobe(maps, np.float64(alpha[k]), direction[k, 0], direction[k, 1], direction[k, 2])
-        out[k, 0], out[k, 1], out[k, 2] = r, g, b
+        out[i, 0], out[i, 1], out[i, 2] = r, g, b

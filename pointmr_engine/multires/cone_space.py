@@ -11,9 +11,6 @@ from pointmr_engine.hierarchy.prefilter import Prefiltered
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.pointers import (
     load_f64,
-    load_i32,
-    load_i64,
-    load_u8,
     pointer_f64,
     store_f32,
 )
@@ -36,7 +33,6 @@ from pointmr_engine.numerics.simd_cone import (
     TRIANGLE_ROWS,
     WHOLE,
 )
-from pointmr_engine.scene.group import HOLDOUT, VISIBLE
 
 PADDING = (
     1e-6  # of the coordinates about a hierarchy's centre: more than the roundings of its boxes in cone space
@@ -228,22 +224,3 @@ def set_constants(levels, level, address, centers, radii, hierarchy, cones, n, s
     store_f32(address, at + SOLID, np.float32(style.solid))
     store_f32(address, at + DENSE, np.float32(style.dense))
     store_f32(address, at + WHOLE, np.float32(style.whole * 4.0))
-
-
-@device
-def child_group(w, batch, i):
-    """Index of the group that placement i of a batch places; w: WalkPointers."""
-    row, first = load_i32(w.group_first, batch), load_i64(w.group, 2 * batch)
-    if first >= 0:
-        row += load_i32(w.group_values, first + load_i64(w.group, 2 * batch + 1) * i)
-    return load_i32(w.batch_groups, row)
-
-
-@device
-def combined_flags(w, batch, i, flags):
-    """Visibility and holdout bits of placement i of a batch below a path with `flags`."""
-    first = load_i64(w.visibility, 2 * batch)
-    if first < 0:
-        return flags
-    own = load_u8(w.visibility_values, first + load_i64(w.visibility, 2 * batch + 1) * i)
-    return (flags & own & VISIBLE) | ((flags | own) & HOLDOUT)

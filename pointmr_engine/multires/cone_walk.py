@@ -18,8 +18,6 @@ from pointmr_engine.multires.cone_space import (
     Style,
     allocate,
     append,
-    child_group,
-    combined_flags,
     scene_of,
     set_cone,
     set_constants,
@@ -41,6 +39,7 @@ from pointmr_engine.numerics.simd_cone import (
     patch_mask,
     triangle_mask,
 )
+from pointmr_engine.raytracing.walk import child_group, combined_flags
 from pointmr_engine.scene.group import VISIBLE
 
 ALL = np.int64(-1)
@@ -200,24 +199,59 @@ def usable(cones, n):
     return np.isfinite(total) and cones.t_min[n] < cones.t_max[n]
 
 
+@device
+def begin(w, levels, scratch, cones, n, style):
+    """Set level 0 to the root group for cone n; returns the group's first node."""
+    state, group = levels.state, np.int64(w.root)
+    set_cone(levels, cones, n)
+    state[0, KIND], state[0, FLAGS], state[0, BOTTOM], state[0, SEED] = ~group, VISIBLE, 0, 0
+    levels.depth[0] = 0
+    node = load_i32(w.group_root, group)
+    if node >= 0:
+        set_constants(
+            levels, np.int64(0), scratch.constants, w.group_center, w.group_radius, group, cones, n, style
+        )
+    return node
+
+
+@device
+def push_boxes(w, s, scratch, node, bits, done, offset, sp):
+    """Push the children `bits` of a node that sub-rays other than `done` may meet, the nearest on top; returns sp.
+
+    offset: t of what the boxes' fronts, in scratch.boxes, are about.
+    """
+    stack, fronts, first = scratch.stack, scratch.fronts, sp
+    while bits != 0:
+        lane = trailing_zeros(bits)
+        bits &= bits - 1
+        columns = np.int64(load_f32(scratch.boxes, 8 * COLUMNS + lane))
+        lines = np.int64(load_f32(scratch.boxes, 8 * LINES + lane))
+        rays = load_i64(s.columns, columns) & load_i64(s.lines, lines)
+        if rays & ~done == 0:
+            continue
+        front = np.float32(load_f32(scratch.boxes, 8 * FRONT + lane) + offset)
+        j = sp
+        while j > first and fronts[j - 1] < front:
+            stack[j, 0], stack[j, 1], fronts[j] = stack[j - 1, 0], stack[j - 1, 1], fronts[j - 1]
+            j -= 1
+        stack[j, 0] = load_i32(w.children, 8 * node + lane)
+        stack[j, 1] = rays
+        fronts[j] = front
+        sp += 1
+    return sp
+
+
 @uncounted
 def _visible(w, s, cones, masks, counters, levels, scratch, style, start, stop):
     """The walk for cones[start:stop]; masks: int64."""
-    stack, fronts, state = scratch.stack, scratch.fronts, levels.state
+    stack, state = scratch.stack, levels.state
     for n in range(start, stop):
         masks[n] = 0
         if not usable(cones, n):
             continue
         mask, wanted = np.int64(0), np.int64(cones.visibility[n]) & VISIBLE
-        set_cone(levels, cones, n)
-        level, sp, group = np.int64(0), np.int64(0), np.int64(w.root)
-        state[0, KIND], state[0, FLAGS], state[0, BOTTOM], state[0, SEED] = ~group, VISIBLE, 0, 0
-        levels.depth[0] = 0
-        node = load_i32(w.group_root, group)
-        if node >= 0:
-            set_constants(
-                levels, level, scratch.constants, w.group_center, w.group_radius, group, cones, n, style
-            )
+        level, sp = np.int64(0), np.int64(0)
+        node = begin(w, levels, scratch, cones, n, style)
         while True:
             if node >= 0:
                 counters[NODES] += 1
@@ -238,27 +272,7 @@ def _visible(w, s, cones, masks, counters, levels, scratch, style, start, stop):
                         covered &= ~mask
                         if covered != 0:
                             mask |= dithered(s, covered, opacity, 8 * node + lane + 977 * state[level, SEED])
-                first = sp
-                while bits != 0:
-                    lane = trailing_zeros(bits)
-                    bits &= bits - 1
-                    columns = np.int64(load_f32(scratch.boxes, 8 * COLUMNS + lane))
-                    lines = np.int64(load_f32(scratch.boxes, 8 * LINES + lane))
-                    rays = load_i64(s.columns, columns) & load_i64(s.lines, lines)
-                    if rays & ~mask != 0:
-                        front = load_f32(scratch.boxes, 8 * FRONT + lane)
-                        j = sp
-                        while j > first and fronts[j - 1] < front:
-                            stack[j, 0], stack[j, 1], fronts[j] = (
-                                stack[j - 1, 0],
-                                stack[j - 1, 1],
-                                fronts[j - 1],
-                            )
-                            j -= 1
-                        stack[j, 0] = load_i32(w.children, 8 * node + lane)
-                        stack[j, 1] = rays
-                        fronts[j] = front
-                        sp += 1
+                sp = push_boxes(w, s, scratch, node, bits, mask, 0.0, sp)
             elif node != EMPTY:
                 part = state[level, KIND]
                 if part < 0:

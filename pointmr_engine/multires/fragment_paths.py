@@ -18,9 +18,9 @@ from pointmr_engine.multires.curvature import spread_of_curvature
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 from pointmr_engine.raytracing import paths, walk
-from pointmr_engine.raytracing.integrator import Stage, Workspace
-from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits, allocate_rays
-from pointmr_engine.raytracing.surface import allocate_frames, frames
+from pointmr_engine.raytracing.integrator import Stage, Workspace, sub_frames
+from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
+from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import CAMERA
 
 BATCH = 4096  # fragments at once
@@ -159,17 +159,13 @@ class FragmentPaths(Workspace):
         found = np.flatnonzero(seen.triangle >= 0)
         if not len(found):
             return
-        at = frame.position[rows[found]].copy()
-        there = allocate_frames(len(found))
-        chosen = Hits(*(a[found] for a in seen))
-        frames(self.stage.shader.geometry, Rays(*(a[found] for a in rays)), chosen, there)
-        along = ((there.position - at) * rays.direction[found]).sum(1)
-        for target, values in zip(hits, chosen, strict=True):
+        at = rows[found]
+        before = frame.position[at]
+        for target, values in zip(hits, seen, strict=True):
             if target is not hits.t:
-                target[rows[found]] = values
-        hits.t[rows[found]] += along
-        for target, values in zip(frame, there, strict=True):
-            target[rows[found]] = values
+                target[at] = values[found]
+        sub_frames(self.stage.shader.geometry, camera_rays, hits, at, frame)
+        hits.t[at] += ((frame.position[at] - before) * camera_rays.direction[at]).sum(1)
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:

@@ -15,7 +15,7 @@ from pointmr_engine.forward.fragments import (
     fill_normal_matrices,
     find_fragments,
 )
-from pointmr_engine.forward.method import _depth_range as depth_range
+from pointmr_engine.forward.method import depth_range
 from pointmr_engine.forward.placement_values import (
     PlacementValues,
     allocate_placement_values,
@@ -27,7 +27,7 @@ from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import Scratch, walk
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lens import LensView, confusion, make_views, sharpest, views_per_side
-from pointmr_engine.multires.merge import _join, _mergeable
+from pointmr_engine.multires.merge import join, mergeable
 from pointmr_engine.multires.method import TracedShading, TracedTiles
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import CAMERA
@@ -68,11 +68,11 @@ def merge_views(order, key, perspective, footprint, f: Fragments, count, into, l
             size = footprint * f.position[k, 2]
         found = np.int64(-1)
         for g in range(first, groups):
-            if _mergeable(f, kept[g], k, size):
+            if mergeable(f, kept[g], k, size):
                 found = g
                 break
         if found >= 0:
-            _join(f, kept[found], k, largest)
+            join(f, kept[found], k, largest)
             into[k] = found
         else:
             kept[groups] = k

@@ -14,7 +14,7 @@ import numpy as np
 from pointmr_engine.multires.cones import Cones
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
-from pointmr_engine.raytracing.paths import Paths
+from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
 
 STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
     -1.0,
@@ -162,40 +162,6 @@ def weigh_sub_rays(lobes: LobeCones, count):
 
 
 @device
-def _copy_path(paths: Paths, k, weight, out: Paths, m):
-    """Row m of out becomes path k with a share of its throughput; its ray is left alone."""
-    a, s = paths.state, out.state
-    for c in range(3):
-        out.throughput[m, c] = paths.throughput[k, c] * weight
-        out.origin_normal[m, c] = paths.origin_normal[k, c]
-    out.bsdf_pdf[m] = paths.bsdf_pdf[k]
-    out.origin_transmissive[m] = paths.origin_transmissive[k]
-    out.flags[m] = paths.flags[k]
-    out.slot[m] = paths.slot[k]
-    s.kind[m] = a.kind[k]
-    s.depth[m] = a.depth[k]
-    s.diffuse_depth[m] = a.diffuse_depth[k]
-    s.glossy_depth[m] = a.glossy_depth[k]
-    s.transmission_depth[m] = a.transmission_depth[k]
-    s.transparent_depth[m] = a.transparent_depth[k]
-    s.length[m] = a.length[k]
-    s.width[m] = a.width[k]
-    s.spread[m] = a.spread[k]
-
-
-@device
-def _copy_ray(rays, k, out, m):
-    for c in range(3):
-        out.origin[m, c] = rays.origin[k, c]
-        out.direction[m, c] = rays.direction[k, c]
-    out.t_min[m] = rays.t_min[k]
-    out.t_max[m] = rays.t_max[k]
-    out.visibility[m] = rays.visibility[k]
-    out.skip_triangle[m] = rays.skip_triangle[k]
-    out.skip_path[m] = rays.skip_path[k]
-
-
-@device
 def _look(lobes: LobeCones, k, mask):
     """(weight, mean direction) of the sub-rays `mask` of cone k."""
     c = lobes.cones
@@ -225,7 +191,7 @@ def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, r
     for r in range(count):
         k = np.int64(fragments.cone[r])
         weight, _, _, _ = _look(lobes, k, fragments.mask[r])
-        _copy_path(paths, k, weight, out, np.int64(r))
+        copy_path(paths, k, weight, out, np.int64(r))
         out.rays.visibility[r] = paths.rays.visibility[k]
         share = math.sqrt(min(weight, 1.0))
         a = max(np.float64(lobes.alpha[k]), 0.0)
@@ -238,8 +204,8 @@ def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, r
         weight, x, y, z = _look(lobes, np.int64(k), escaped[k])
         if not weight > 0.0:
             continue
-        _copy_path(paths, np.int64(k), weight, out, m)
-        _copy_ray(paths.rays, np.int64(k), out.rays, m)
+        copy_path(paths, np.int64(k), weight, out, m)
+        copy_ray(paths.rays, np.int64(k), out.rays, m)
         out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = x, y, z
         alpha[m] = lobes.alpha[k] * math.sqrt(min(weight, 1.0))
         hits.triangle[m] = -1
@@ -248,8 +214,8 @@ def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, r
     escapes = m - count
     for k in range(n):
         if lobes.alpha[k] < 0 and m < room:
-            _copy_path(paths, np.int64(k), 1.0, out, m)
-            _copy_ray(paths.rays, np.int64(k), out.rays, m)
+            copy_path(paths, np.int64(k), 1.0, out, m)
+            copy_ray(paths.rays, np.int64(k), out.rays, m)
             alpha[m] = _NEARLY_SHARP if lobes.alpha[k] == WITHIN_LOBE else 0.0
             m += 1
     return count, escapes, m - count - escapes

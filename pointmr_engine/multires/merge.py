@@ -17,7 +17,7 @@ APART = 0.75  # footprints: farthest from each other's planes
 
 
 @device
-def _mergeable(f: Fragments, g, k, footprint):
+def mergeable(f: Fragments, g, k, footprint):
     """Whether fragment k continues the surface of g."""
     if f.part[g] != f.part[k]:
         return False
@@ -53,7 +53,7 @@ def _copy(f: Fragments, g, k):
 
 
 @device
-def _join(f: Fragments, g, k, largest):
+def join(f: Fragments, g, k, largest):
     """Average fragment k into g. largest (F,) int32: subpixels of the fragment that represents each group."""
     n, m = np.float32(f.count[g]), np.float32(f.count[k])
     s = m / (n + m)
@@ -97,11 +97,11 @@ def merge_fragments(
                         footprint = pixel * f.position[k, 2]
                     found = np.int64(-1)
                     for g in range(first, groups):
-                        if _mergeable(f, g, k, footprint):
+                        if mergeable(f, g, k, footprint):
                             found = g
                             break
                     if found >= 0:
-                        _join(f, found, k, largest)
+                        join(f, found, k, largest)
                         into[k] = found
                     else:
                         if groups != k:

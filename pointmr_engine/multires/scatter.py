@@ -15,7 +15,7 @@ from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
 from pointmr_engine.multires.lobe_view import STRAIGHT
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
-from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, THROUGH
+from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, THROUGH, copy_path, copy_ray
 from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
@@ -290,34 +290,19 @@ def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
 @device
 def _pass(paths, k, out, m, hits, frames, limits, r, g, b):
     """Row m of `out` becomes the path k, begun again behind the surface that it passes straight."""
-    a, s = paths.state, out.state
+    copy_path(paths, k, 1.0, out, m)
+    copy_ray(paths.rays, k, out.rays, m)
+    passed = paths.state.transparent_depth[k] + 1
+    out.state.transparent_depth[m] = passed
+    out.state.length[m] = 0
     path_flags = np.int64(paths.flags[k]) | THROUGH
-    passed = a.transparent_depth[k] + 1
     if passed >= limits.transparent:
         path_flags |= LAST
-    for c in range(3):
-        out.rays.origin[m, c] = paths.rays.origin[k, c]
-        out.rays.direction[m, c] = paths.rays.direction[k, c]
-        out.origin_normal[m, c] = paths.origin_normal[k, c]
+    out.flags[m] = path_flags
+    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
     out.rays.t_min[m] = hits.t[k] + frames.offset[k]
-    out.rays.t_max[m] = paths.rays.t_max[k]
-    out.rays.visibility[m] = paths.rays.visibility[k]
     out.rays.skip_triangle[m] = hits.triangle[k]
     out.rays.skip_path[m] = hits.path[k]
-    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
-    out.bsdf_pdf[m] = paths.bsdf_pdf[k]
-    out.origin_transmissive[m] = paths.origin_transmissive[k]
-    out.flags[m] = path_flags
-    out.slot[m] = paths.slot[k]
-    s.kind[m] = a.kind[k]
-    s.depth[m] = a.depth[k]
-    s.diffuse_depth[m] = a.diffuse_depth[k]
-    s.glossy_depth[m] = a.glossy_depth[k]
-    s.transmission_depth[m] = a.transmission_depth[k]
-    s.transparent_depth[m] = passed
-    s.length[m] = 0
-    s.width[m] = a.width[k]
-    s.spread[m] = a.spread[k]
 
 
 @uncounted

@@ -227,14 +227,13 @@ class Workspace:
     def _met_lights(self, now, rays: Rays, n: int, alive, bounce: int) -> None:
         """Lamps that the rays pass, and the world where they hit nothing."""
         stage, lights = self.stage, self.stage.lights
-        ones = np.ones(n)
         if len(lights.arrays.met_lamps):
             met = np.zeros((n, 3), np.float32)
             lights.seen_lamps(
                 rays.origin, rays.direction, self.hits.t[:n], rays.visibility, now.origin_normal[:n],
                 now.origin_transmissive[:n], now.bsdf_pdf[:n], met,
             )  # fmt: skip
-            paths.add_radiance(now, self.samples, stage.limits, met, ones, n)
+            paths.add_radiance(now, self.samples, stage.limits, met, self.sees_lamps(n, bounce), n)
         missed = ~alive
         if not missed.any():
             return
@@ -249,16 +248,25 @@ class Workspace:
             rows = np.flatnonzero(missed & (rays.visibility == bit))
             if not len(rows):
                 continue
-            direction = rays.direction[rows]
-            radiance[rows] = lights.world_radiance(direction, bit)
-            if bit == CAMERA:
-                weight[rows] = 1.0
-            else:
-                weight[rows] = lights.world_weight(
-                    rays.origin[rows], now.origin_normal[rows], now.origin_transmissive[rows], direction,
-                    now.bsdf_pdf[rows],
-                )  # fmt: skip
+            radiance[rows], weight[rows] = self.seen_world(now, rays, rows, bit)
         paths.add_radiance(now, self.samples, stage.limits, radiance, weight, n)
+
+    def sees_lamps(self, n: int, bounce: int) -> np.ndarray:
+        """(n,) weights of the lamps that the rays pass, beside those against light samples."""
+        return np.ones(n)
+
+    def seen_world(
+        self, now, rays: Rays, rows: np.ndarray, bit: int
+    ) -> tuple[np.ndarray, np.ndarray | float]:
+        """(radiance, weight) of the world for the rays `rows`, which are of one kind and hit nothing."""
+        lights, direction = self.stage.lights, rays.direction[rows]
+        radiance = lights.world_radiance(direction, bit)
+        if bit == CAMERA:
+            return radiance, 1.0
+        return radiance, lights.world_weight(
+            rays.origin[rows], now.origin_normal[rows], now.origin_transmissive[rows], direction,
+            now.bsdf_pdf[rows],
+        )  # fmt: skip
 
     def _emission(self, tile, now, rays: Rays, n: int, alive) -> None:
         """Light that the surfaces emit, weighed against the light samples that could have found it."""
@@ -343,7 +351,7 @@ class Workspace:
         """Dim the waiting shadow rays by their surfaces; returns how many go on."""
         stage, waiting = self.stage, self.waiting[:left]
         rows = np.ascontiguousarray(waiting, np.int64)
-        _sub_frames(stage.shader.geometry, self.shadows.rays, self.shadow_hits, rows, self.shadow_frames)
+        sub_frames(stage.shader.geometry, self.shadows.rays, self.shadow_hits, rows, self.shadow_frames)
         state: RayState = self.shadow_state
         source = self.shadows.source[rows]
         for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
@@ -359,7 +367,7 @@ class Workspace:
         return self.dim(waiting, left, share)
 
 
-def _sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
+def sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
     """Frames of the hits `rows` only, written to those rows."""
     chosen_rays, chosen_hits = Rays(*(a[rows] for a in rays)), Hits(*(a[rows] for a in hits))
     found = allocate_frames(len(rows))

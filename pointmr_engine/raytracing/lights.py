@@ -103,18 +103,18 @@ class Lights:
 
     def taken(self, times: int) -> Lights:
         """The same lights, one of all of which is chosen several times."""
-        parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
-        result = Lights(self.arrays, *parts, self.only_met, self.warnings)
-        result.turns = [None] * times
-        return result
+        return self._with(self.arrays, [None] * times)
 
     def asked(self, turns: list[tuple[int, int] | None]) -> Lights:
         """The same lights with these turns: (LAMP, k), (WORLD, 0), or None for one of the emissive triangles."""
         a = self.arrays
         tree = build_light_tree(a.lamps, a.emitters, self.environment.map, apart=True)
+        return self._with(a._replace(tree=tree), turns)
+
+    def _with(self, arrays: LightArrays, turns: list) -> Lights:
         parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
-        result = Lights(a._replace(tree=tree), *parts, self.only_met, self.warnings)
-        result.turns, result.empty = turns, not turns
+        result = Lights(arrays, *parts, self.only_met, self.warnings)
+        result.turns, result.empty = turns, result.empty if arrays is self.arrays else not turns
         return result
 
     def sample(

@@ -327,6 +327,41 @@ def scatter(paths: Paths, samples: Samples, lobes, limits: Limits, tables, bounc
             out.direction[k, a] = wo[a]
 
 
+@device
+def copy_path(paths: Paths, k, weight, out: Paths, m):
+    """Row m of out becomes path k with a share of its throughput; its ray is left alone."""
+    a, s = paths.state, out.state
+    for c in range(3):
+        out.throughput[m, c] = paths.throughput[k, c] * weight
+        out.origin_normal[m, c] = paths.origin_normal[k, c]
+    out.bsdf_pdf[m] = paths.bsdf_pdf[k]
+    out.origin_transmissive[m] = paths.origin_transmissive[k]
+    out.flags[m] = paths.flags[k]
+    out.slot[m] = paths.slot[k]
+    s.kind[m] = a.kind[k]
+    s.depth[m] = a.depth[k]
+    s.diffuse_depth[m] = a.diffuse_depth[k]
+    s.glossy_depth[m] = a.glossy_depth[k]
+    s.transmission_depth[m] = a.transmission_depth[k]
+    s.transparent_depth[m] = a.transparent_depth[k]
+    s.length[m] = a.length[k]
+    s.width[m] = a.width[k]
+    s.spread[m] = a.spread[k]
+
+
+@device
+def copy_ray(rays: Rays, k, out: Rays, m):
+    """Row m of out becomes ray k."""
+    for c in range(3):
+        out.origin[m, c] = rays.origin[k, c]
+        out.direction[m, c] = rays.direction[k, c]
+    out.t_min[m] = rays.t_min[k]
+    out.t_max[m] = rays.t_max[k]
+    out.visibility[m] = rays.visibility[k]
+    out.skip_triangle[m] = rays.skip_triangle[k]
+    out.skip_path[m] = rays.skip_path[k]
+
+
 @uncounted
 def move(
     paths: Paths, hits, frames, scattered: Scattered, normal, flags, limits: Limits, alive, out: Paths, n

@@ -25,7 +25,7 @@ from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.raytracing.walk_shape import BLOCKED, MISS, push_children, walk_shape
 from pointmr_engine.scene.group import HOLDOUT, VISIBLE
 
-__all__ = ["BLOCKED", "intersect", "shadow"]
+__all__ = ["BLOCKED", "child_group", "combined_flags", "describe", "intersect", "shadow"]
 
 _EMPTY = -(2**31)
 
@@ -57,7 +57,7 @@ def _place(where, batch, i):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _combined_flags(w, batch, i, flags):
+def combined_flags(w, batch, i, flags):
     """Visibility and holdout bits of placement i of a batch below a path with `flags`."""
     at = _place(w.visibility, batch, i)
     if at < 0:
@@ -67,7 +67,7 @@ def _combined_flags(w, batch, i, flags):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _child_group(w, batch, i):
+def child_group(w, batch, i):
     """Index of the group that placement i of a batch places."""
     at = _place(w.group, batch, i)
     row = load_i32(w.group_first, batch)
@@ -95,7 +95,7 @@ def describe(w, chain, length, hits, n):
         has = load_u8(w.has_attributes, batch)
         if has != 0 or named_has == 0:
             named, named_has = record, has
-        flags = _combined_flags(w, batch, i, flags)
+        flags = combined_flags(w, batch, i, flags)
         at = _place(w.seed, batch, i)
         if at >= 0:
             seed = np.uint32(combine_seeds(seed, load_u32(w.seed_values, at)))
@@ -181,11 +181,11 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
                 else:
                     batch = load_i32(w.item_batch, ~node)
                     i = record - load_i64(w.first_record, batch)
-                    own = _combined_flags(w, batch, i, flags)
+                    own = combined_flags(w, batch, i, flags)
                     if (own & wanted) != 0:
                         m = pointer_f64(load_i64(w.transforms, batch))
                         px, py, pz, qx, qy, qz = ray_into(m, 12 * i, ox, oy, oz, dx, dy, dz)
-                        child = _child_group(w, batch, i)
+                        child = child_group(w, batch, i)
                         below_path = hash_path(path, record)
                         chain[level, 0] = record
                         chain[level, 1] = batch
