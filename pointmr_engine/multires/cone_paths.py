@@ -17,6 +17,7 @@ from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals
 from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.hierarchy.prefilter import prefilter
+from pointmr_engine.multires.clumps import ratios, restore_normals, swap_normals
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones, allocate_cones
@@ -42,6 +43,7 @@ CONE_WORTH = 0.5  # throughput from which a lobe of the first surface takes a co
 STRONG = 0.5  # throughput from which what a lobe sees is lit by cones; below, by one light sample
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 MOST = 3  # fragments of a cone
+NO_SHADOWS = np.zeros((0, 0), np.float32)
 OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
 
 
@@ -69,7 +71,11 @@ class ConeLight:
             self.rays = lights.asked(turns)
         else:
             wide, self.rays = [], lights.taken(MANY_RAYS)
-        self.lamps = compile_lamps([scene.lights[arrays.lamps.source[k]] for k in wide])[0]
+        of = arrays.lamps.source
+        self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
+        # one by one, those that take cones before those that take rays: for clumps
+        each = [*wide, *(t[1] for t in self.rays.turns if t is not None and t[0] == LAMP)]
+        self.each = [(k, compile_lamps([scene.lights[of[k]]])[0]) for k in each]
         self._sampler, self._lock = sampler, threading.Lock()
 
     def prefiltered(self) -> tuple:
@@ -140,7 +146,9 @@ class ConePaths(FragmentPaths):
         self.width = np.empty(n, np.float32)
         self.both = np.empty(n, np.bool_)
         self.received = np.zeros((n, 3), np.float32)
-        self.ones = np.ones(n)
+        self.ones, self.ones_f = np.ones(n), np.ones(n, np.float32)
+        self.swapped = np.empty((BATCH, self.alpha.shape[1] + 2, 3), np.float32)
+        self.ratios: dict = {}
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
         self.shifts = np.empty((n, 2))
@@ -176,6 +184,7 @@ class ConePaths(FragmentPaths):
             lobes.count[:n][weak] = 0
             alive = alive & ~weak
         self.stage = self.strong_stage
+        self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
         if len(light.lamps.shape) and lobes.count[:n].any():
@@ -187,7 +196,35 @@ class ConePaths(FragmentPaths):
         chosen.mis[:] = False
         chosen.pdf[:] *= self.stage.lights.turns.count(turn)  # what is asked several times counts once
         chosen.visibility[chosen.kind != LAMP] &= DIFFUSE
+        if turn in self.ratios:
+            chosen.radiance[:] *= self.ratios[turn][self.lit_rows[:m], None]
         return chosen
+
+    def _clump_ratios(self, n: int) -> dict:
+        """By light, (n,) float32: what clumps receive unhindered as distributions, against their visible points."""
+        lobes, clumps, kept = self.lobes, self.clumps, self.lobes.count[:n].copy()
+        others = np.ones(n, np.bool_)
+        others[clumps.row] = False
+        lobes.count[:n][others] = 0
+        at_points = [self._unhindered(lamps, self.ones_f, n) for _, lamps in self.light.each]
+        swap_normals(lobes, self.view.incoming, clumps.row, clumps.normal, self.swapped)
+        spread_out = [self._unhindered(lamps, self.flat, n) for _, lamps in self.light.each]
+        restore_normals(lobes, clumps.row, self.swapped)
+        lobes.count[:n] = kept
+        self.flat[clumps.row] = 1.0
+        return {
+            (LAMP, k): ratios(clumps, b, u, n)
+            for (k, _), b, u in zip(self.light.each, spread_out, at_points, strict=True)
+        }
+
+    def _unhindered(self, lamps, flat: np.ndarray, n: int) -> np.ndarray:
+        """(n, 3) float32 light of lamps without shadows."""
+        result = np.zeros((n, 3), np.float32)
+        shade_lamps(
+            self.lobes, self.view.incoming, self.frames.position, flat, self.alpha, lamps, NO_SHADOWS, np.int64(0),
+            np.int64(n), result,
+        )  # fmt: skip
+        return result
 
     def _wide_lamps(self, now, n: int) -> None:
         """Add the light of lamps that take cones."""
@@ -198,6 +235,8 @@ class ConePaths(FragmentPaths):
         np.not_equal(lobes.flags[:n] & HAS_TRANSMISSION, 0, out=self.both[:n])
         for i in range(len(lamps.shape)):
             self._shadow(i, n)
+            if self.ratios:
+                self.share[i, :n] *= self.ratios[LAMP, self.light.each[i][0]]
         shade_lamps(
             lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, lamps, self.share,
             np.int64(0), count, self.received,

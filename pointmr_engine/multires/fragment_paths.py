@@ -14,25 +14,27 @@ from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
+from pointmr_engine.multires.clumps import FLATNESS, Clumps, look_where_seen
 from pointmr_engine.multires.curvature import spread_of_curvature
 from pointmr_engine.numerics.jit import uncounted
-from pointmr_engine.numerics.rng import pixel_seed
+from pointmr_engine.numerics.rng import pixel_seed, sample_1d
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage, Workspace, sub_frames
-from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
-from pointmr_engine.raytracing.surface import frames
+from pointmr_engine.raytracing.rays import Rays, allocate_hits, allocate_rays
+from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
 
 BATCH = 4096  # fragments at once
-DEEP = 16.0  # footprints before and behind a clump's representative where its visible surface is looked for
-CLUMP = 0.95  # flatness below which a piece has no normal of its own
+VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
+VEILS = 8  # transparent surfaces that a look at a clump passes at most
 
 
 @uncounted
-def number_samples(fragments, left, low, subpixels, first, count, samples, seed, used):
+def number_samples(fragments, left, low, subpixels, first, count, samples, seed, used, pixel):
     """Pixels of fragments first..first + count, and their numbers in them, as samples 0..count.
 
-    used (rows, columns) int32: fragments so far in the tile's pixels; left, low: the tile's first subpixel.
+    used (rows, columns) int32: fragments so far in the tile's pixels; left, low: the tile's first subpixel. pixel (N,)
+    int64: number of each one's pixel in the tile.
     """
     for k in range(count):
         f = first + k
@@ -43,6 +45,7 @@ def number_samples(fragments, left, low, subpixels, first, count, samples, seed,
         samples.y[k] = y
         samples.number[k] = used[j, i]
         samples.seed[k] = pixel_seed(np.int64(x), np.int64(y), np.int64(seed))
+        pixel[k] = j * used.shape[1] + i
         used[j, i] += 1
 
 
@@ -71,6 +74,13 @@ def close_transparency(lobes, throughput, count):
             throughput[k, c] *= scale
 
 
+@uncounted
+def fill_chances(tables, seed, number, slot, step, out):
+    """out (N,) float64: a number in 0..1 for the samples `slot` (N,), others for each step."""
+    for i in range(len(slot)):
+        out[i] = sample_1d(tables, seed[slot[i]], VEIL_CHANCES + step, number[slot[i]])
+
+
 class FragmentPaths(Workspace):
     """One thread's paths from fragments. settings.samples of the stage says how much of a lobe one ray stands for."""
 
@@ -78,6 +88,7 @@ class FragmentPaths(Workspace):
         n = max(room, BATCH)
         super().__init__(stage, n)
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
+        self.pixel = np.empty(n, np.int64)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
         none = np.zeros((0, 3))
         self.tile = TileSums(
@@ -94,7 +105,7 @@ class FragmentPaths(Workspace):
         samples.transparency[:count] = 0.0
         number_samples(
             f, np.int64(space.left), np.int64(space.low), np.int64(image.subpixels), first_, n_, samples,
-            np.int64(image.settings.seed), space.used,
+            np.int64(image.settings.seed), space.used, self.pixel,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
             move_to_opaque(hierarchy.cut_outs, f, first_, n_)
@@ -113,10 +124,12 @@ class FragmentPaths(Workspace):
         entries = space.scratch.entries
         surfel_frames(to_world, entries, f, first_, n_, now.rays, frame, self.flat, self.spread)
         # rays leave a real point of the piece, with what is around it: its centroid may lie inside
-        center = frame.position[:count].copy()
         frame.position[:count] = position
+        clump = np.flatnonzero(self.flat[:count] < FLATNESS)
+        self.clumps = Clumps(
+            clump, frame.smooth_normal[clump], self.pixel[clump], f.count[first + clump].astype(np.float64)
+        )
         # a clump faces all ways: the triangle that represents it stands for one of them
-        clump = np.flatnonzero(self.flat[:count] < CLUMP)
         for target, normals in zip(
             (frame.smooth_normal, frame.geometric_normal, frame.backfacing), own, strict=True
         ):
@@ -125,7 +138,7 @@ class FragmentPaths(Workspace):
         triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
         tables = self.stage.shader.geometry.tables
         spread_of_curvature(tables, hits, now.state.width, triangles, np.int64(len(triangles)), self.spread)
-        self._look_at_clumps(now.rays, clump, center[clump], now.state.width)
+        self._look_at_clumps(space, now, first)
         start_rays(now.rays, hits, self.frames, n_)
         if image.view.perspective:  # the footprint goes on growing behind mirrors
             now.state.spread[:count] = now.state.width[:count] / np.maximum(hits.t[:count], 1e-30)
@@ -139,33 +152,58 @@ class FragmentPaths(Workspace):
             n = self._bounce(self.tile, now, then, n, bounce)
         np.copyto(space.light[first : first + count], samples.radiance[:count], casting="same_kind")
 
-    def _look_at_clumps(self, camera_rays, rows: np.ndarray, center: np.ndarray, width: np.ndarray) -> None:
-        """Represent the fragments `rows` by what the camera sees of them: a ray each, through their centres.
+    def _look_at_clumps(self, space, now, first: int) -> None:
+        """Represent clumps by what the camera sees of them: the first surface behind a subpixel that shows each.
 
         A piece's own representative may be hidden in it, or seen from its edge, and lie in another light than what is
-        seen. center (len(rows), 3): of the pieces, world.
+        seen.
         """
+        rows = self.clumps.row
         if not len(rows):
             return
-        hits, frame = self.hits, self.frames
+        hits, frame, camera_rays = self.hits, self.frames, now.rays
         rays, seen = allocate_rays(len(rows)), allocate_hits(len(rows))
-        rays.direction[:] = camera_rays.direction[rows]
-        reach = DEEP * width[rows].astype(np.float64)
-        rays.origin[:] = center - reach[:, None] * rays.direction
-        rays.t_max[:] = 2.0 * reach
+        image = space.image
+        look_where_seen(
+            image.view, np.int64(space.left), np.int64(space.low), image.camera.world_from_camera, space.fragments,
+            np.int64(first), rows, space.seen, camera_rays.direction, rays,
+        )  # fmt: skip
         rays.visibility[:] = CAMERA
-        walk.intersect(self.stage.acceleration, rays, seen)
+        rays.skip_triangle[:] = -1
+        self._look(now, rows, rays, seen)
         self.counters["clump_rays"] += len(rows)
         found = np.flatnonzero(seen.triangle >= 0)
         if not len(found):
             return
         at = rows[found]
-        before = frame.position[at]
         for target, values in zip(hits, seen, strict=True):
-            if target is not hits.t:
-                target[at] = values[found]
+            target[at] = values[found]
         sub_frames(self.stage.shader.geometry, camera_rays, hits, at, frame)
-        hits.t[at] += ((frame.position[at] - before) * camera_rays.direction[at]).sum(1)
+
+    def _look(self, now, rows: np.ndarray, rays, seen) -> None:
+        """First surfaces that the rays meet, and do not pass by chance as they are transparent, to `seen`."""
+        stage, todo = self.stage, np.arange(len(rows))
+        for veil in range(VEILS):
+            part, met = Rays(*(a[todo] for a in rays)), allocate_hits(len(todo))
+            walk.intersect(stage.acceleration, part, met)
+            for target, values in zip(seen, met, strict=True):
+                target[todo] = values
+            hit = np.flatnonzero(met.triangle >= 0)
+            if not stage.needs.transparent_shadows or not len(hit):
+                return
+            surface = allocate_frames(len(todo))
+            frames(stage.shader.geometry, part, met, surface)
+            state = RayState(*(a[rows[todo]] for a in now.state[:-1]), now.state.camera_from_world)
+            clear = stage.shader.transparency_at(part, state, met, surface, hit).mean(1)
+            slot = now.slot[rows[todo[hit]]]
+            chance = np.empty(len(hit))
+            fill_chances(stage.tables, self.samples.seed, self.samples.number, slot, np.int64(veil), chance)
+            passes = hit[clear > chance]
+            todo = todo[passes]
+            if not len(todo):
+                return
+            rays.t_min[todo] = met.t[passes] + surface.offset[passes]
+            rays.skip_triangle[todo], rays.skip_path[todo] = met.triangle[passes], met.path[passes]
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:

@@ -155,6 +155,7 @@ class LensTiles(TracedTiles):
         self.own.counters = self.scratch.counters
         self.scratch.entries = Entries(np.empty(n, np.int64), np.empty(0, np.int32))
         self.found = allocate_fragments(n)
+        self.seen = np.empty((0, 2), np.int32)  # the views see a fragment in different subpixels
         self.of_view = np.empty(n, np.int32)
         self.kept = np.empty(n, np.int64)
         self.own_values = allocate_placement_values(0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from pointmr_engine.forward.fragments import Fragments
 from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import pixel_seed
 
 FACING = 0.94  # least cosine between the normals of fragments that merge
 APART = 0.75  # footprints: farthest from each other's planes
@@ -70,6 +71,25 @@ def join(f: Fragments, g, k, largest):
         f.geometric[g, c] += s * (f.geometric[k, c] - f.geometric[g, c])
         f.albedo[g, c] += s * (f.albedo[k, c] - f.albedo[g, c])
         f.emission[g, c] += s * (f.emission[k, c] - f.emission[g, c])
+
+
+@uncounted
+def choose_seen(ids, width, height, left, low, count, times, seen):
+    """seen (F, 2) int32: one of the subpixels that show each fragment 0..count of a tile, by a hash of its place.
+
+    times (F,) int32 to work in; left, low: the tile's first subpixel in the image.
+    """
+    for k in range(count):
+        times[k] = 0
+    for y in range(height):
+        for x in range(width):
+            k = np.int64(ids[y, x])
+            if k < 0:
+                continue
+            times[k] += 1
+            h = pixel_seed(np.int64(left + x), np.int64(low + y), np.int64(0))
+            if np.int64(h) * np.int64(times[k]) < np.int64(1) << 32:
+                seen[k, 0], seen[k, 1] = x, y
 
 
 @uncounted

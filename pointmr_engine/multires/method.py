@@ -16,7 +16,7 @@ from pointmr_engine.forward.method import Image
 from pointmr_engine.forward.tiles import TILE, Workspace
 from pointmr_engine.multires.cone_paths import ConeLight, ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
-from pointmr_engine.multires.merge import merge_fragments
+from pointmr_engine.multires.merge import choose_seen, merge_fragments
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -100,6 +100,7 @@ class TracedTiles(Workspace):
         super().__init__(image)
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
+        self.seen = np.empty((n, 2), np.int32)
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)
 
@@ -110,8 +111,13 @@ class TracedTiles(Workspace):
     def _fragments(self, hierarchy) -> int:
         count = super()._fragments(hierarchy)
         image = self.image
-        return merge_fragments(
+        merged = merge_fragments(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
             image.view.perspective, np.float64(image.footprint), self.fragments, np.int64(count), self.into,
             self.largest,
         )  # fmt: skip
+        choose_seen(
+            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
+            np.int64(merged), self.largest, self.seen,
+        )  # fmt: skip
+        return merged
