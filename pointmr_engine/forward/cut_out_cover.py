@@ -78,7 +78,8 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
 def move_to_opaque(cut_outs, fragments, first, count):
     """Look at fragments first..first + count, where their place lies in a hole, at the nearest point that is opaque.
 
-    What is visible of them is opaque; a hole's colour is anybody's guess. fragments: Fragments; changes `place`.
+    What is visible of them is opaque; a hole's colour is anybody's guess. Where nothing is opaque, the nearest of the
+    least transparent points. fragments: Fragments; changes `place`.
     """
     side = cut_outs.opacity.shape[1]
     for k in range(first, first + count):
@@ -89,10 +90,14 @@ def move_to_opaque(cut_outs, fragments, first, count):
         i, j = min(np.int64(u), side - 1), min(np.int64(v), side - 1)
         if cut_outs.opacity[mask, j, i] >= OPAQUE:
             continue
+        most = np.int64(0)
+        for q in range(side):
+            for p in range(side - q):
+                most = max(most, np.int64(cut_outs.opacity[mask, q, p]))
         best, bi, bj = math.inf, i, j
         for q in range(side):
             for p in range(side - q):
-                if cut_outs.opacity[mask, q, p] >= OPAQUE:
+                if cut_outs.opacity[mask, q, p] >= min(most, OPAQUE):
                     dx, dy = p + 1.0 / 3.0 - u, q + 1.0 / 3.0 - v
                     d = dx * dx + dy * dy
                     if d < best:

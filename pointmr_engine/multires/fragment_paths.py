@@ -23,6 +23,7 @@ from pointmr_engine.raytracing.integrator import Stage, Workspace, sub_frames
 from pointmr_engine.raytracing.rays import Rays, allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
+from pointmr_engine.shading.bsdf.layout import WEIGHT
 
 BATCH = 4096  # fragments at once
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
@@ -63,15 +64,23 @@ def start_rays(rays, hits, frame, count):
 
 @uncounted
 def close_transparency(lobes, throughput, count):
-    """Take the transparency of points 0..count out: areas and cut-outs account for it."""
+    """Take the transparency of points 0..count out: areas and cut-outs account for it.
+
+    What is left is scaled to an opaque surface's, and no more: lobes that add up to one are not scaled, whatever passes
+    besides.
+    """
     for k in range(count):
-        t = 0.0
+        t, most = 0.0, 0.0
         for c in range(3):
             t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
             lobes.transparency[k, c] = 0.0
-        scale = 1.0 / (1.0 - min(t, 0.999))
+            weight = 0.0
+            for j in range(np.int64(lobes.count[k])):
+                weight += lobes.data[k, j, WEIGHT + c]
+            most = max(most, weight)
+        scale = min(1.0 / (1.0 - min(t, 0.999)), 1.0 / max(most, 0.001))
         for c in range(3):
-            throughput[k, c] *= scale
+            throughput[k, c] *= max(scale, 1.0)
 
 
 @uncounted
