@@ -8,12 +8,10 @@ is the unhindered light of the visible points, and V what arrives of it.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.fragments import ray_through
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.shading.bsdf.layout import NORMAL
 
@@ -28,37 +26,6 @@ class Clumps(NamedTuple):
     normal: np.ndarray  # (C, 3) float32 mean normals of the pieces, world space, unit
     pixel: np.ndarray  # (C,) int64: fragments of the same pixel have the same number
     weight: np.ndarray  # (C,) float64: subpixels that show them
-
-
-@uncounted
-def look_where_seen(view, left, low, world_from_camera, fragments, first, rows, seen, direction, rays):
-    """Rays 0..len(rows) from the camera's near end towards the fragments first + rows.
-
-    seen (F, 2) int32: of each fragment one of the tile's subpixels that show it, which the ray goes through; empty: it
-    goes through the fragment's middle. left, low: the tile's first subpixel. direction (N, 3) float64 of the camera
-    rays, world space: changed at `rows`.
-    """
-    c = world_from_camera
-    for i in range(len(rows)):
-        k = rows[i]
-        f = first + k
-        if len(seen) > 0:
-            x, y = ray_through(view, left + seen[f, 0] + 0.5, low + seen[f, 1] + 0.5)
-        else:
-            x, y = fragments.position[f, 0], fragments.position[f, 1]
-            if view.perspective:
-                x, y = x / fragments.position[f, 2], y / fragments.position[f, 2]
-        dx, dy, dz = 0.0, 0.0, 1.0
-        if view.perspective:
-            length = math.sqrt(x * x + y * y + 1.0)
-            dx, dy, dz = x / length, y / length, 1.0 / length
-            x, y = x * view.near, y * view.near
-        for r in range(3):
-            direction[k, r] = c[r, 0] * dx + c[r, 1] * dy + c[r, 2] * dz
-            rays.direction[i, r] = direction[k, r]
-            rays.origin[i, r] = c[r, 0] * x + c[r, 1] * y + c[r, 2] * view.near + c[r, 3]
-        rays.t_min[i] = 0.0
-        rays.t_max[i] = math.inf
 
 
 @uncounted

@@ -24,14 +24,17 @@ from pointmr_engine.multires.cones import Cones, allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
+from pointmr_engine.multires.looks import look_around, same_surface
 from pointmr_engine.multires.scatter import keep_lobes, scatter_lobes
+from pointmr_engine.multires.shadow_edges import LOOKS, find_edges
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
 from pointmr_engine.raytracing.lights import LAMP, WORLD
-from pointmr_engine.raytracing.surface import frames
-from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
+from pointmr_engine.raytracing.surface import allocate_frames, frames
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 _WEIGHTS = cell_weights()
@@ -43,6 +46,7 @@ CONE_WORTH = 0.5  # throughput from which a lobe of the first surface takes a co
 STRONG = 0.5  # throughput from which what a lobe sees is lit by cones; below, by one light sample
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 MOST = 3  # fragments of a cone
+NEXT_LOOK = np.array([0.7548776662466927, 0.5698402909980532, 0.6180339887498949])
 NO_SHADOWS = np.zeros((0, 0), np.float32)
 OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
 
@@ -149,6 +153,9 @@ class ConePaths(FragmentPaths):
         self.ones, self.ones_f = np.ones(n), np.ones(n, np.float32)
         self.swapped = np.empty((BATCH, self.alpha.shape[1] + 2, 3), np.float32)
         self.ratios: dict = {}
+        self.alive, self.part = None, 1.0
+        self.low = self.high = None
+        self.open_light = np.zeros(n)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
         self.shifts = np.empty((n, 2))
@@ -161,6 +168,11 @@ class ConePaths(FragmentPaths):
         self.masks = np.empty(n, np.uint64)
         self.lobe_alpha = np.zeros(n, np.float32)
         self.going = 0
+
+    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
+        if self.low is None or self.low.shape != space.used.shape:
+            self.low, self.high = np.empty(space.used.shape), np.empty(space.used.shape)
+        super().trace(space, hierarchy, values, first, count)
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:
@@ -185,8 +197,10 @@ class ConePaths(FragmentPaths):
             alive = alive & ~weak
         self.stage = self.strong_stage
         self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
+        self.alive = alive if bounce == 0 and len(self.space.seen) else None
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
+        self.alive = None
         if len(light.lamps.shape) and lobes.count[:n].any():
             self._wide_lamps(now, n)
 
@@ -196,9 +210,77 @@ class ConePaths(FragmentPaths):
         chosen.mis[:] = False
         chosen.pdf[:] *= self.stage.lights.turns.count(turn)  # what is asked several times counts once
         chosen.visibility[chosen.kind != LAMP] &= DIFFUSE
+        if self.part != 1.0:
+            chosen.radiance[:] *= self.part
         if turn in self.ratios:
             chosen.radiance[:] *= self.ratios[turn][self.lit_rows[:m], None]
         return chosen
+
+    def connect(self, now, m: int, chosen) -> int:
+        count = super().connect(now, m, chosen)
+        self.open_light[self.shadows.source[:count]] = self.shadows.light[:count].sum(1)
+        return count
+
+    def _look_at_light(self, now, m: int, turn) -> None:
+        if self.alive is None or turn is None or turn[0] != LAMP:
+            return super()._look_at_light(now, m, turn)
+        n, radiance = self.count, self.samples.radiance
+        before = radiance[:n].copy()
+        self.open_light[:n] = 0.0
+        super()._look_at_light(now, m, turn)
+        f, space = self.space.fragments, self.space
+        got = (radiance[:n] - before).sum(1)
+        edge = np.empty(n, np.bool_)
+        find_edges(
+            self.pixel, space.used.shape, self.open_light, got, f.count[self.first : self.first + n], np.int64(n),
+            self.low, self.high, edge,
+        )  # fmt: skip
+        entry = f.entry[self.first : self.first + n]
+        edge &= space.scratch.entries.surfel[entry] < 0
+        rows = np.flatnonzero(edge)
+        if not len(rows):
+            return None
+        u = self.lit_u[:m].copy()
+        self.part = 1.0 / (1 + LOOKS)  # the middle is one of the points
+        radiance[rows] = before[rows] + self.part * (radiance[rows] - before[rows])
+        kept = [a[rows].copy() for a in (*self.hits, self.frames.position, self.frames.offset)]
+        for look in range(LOOKS):
+            self._stand_elsewhere(now, rows, look, kept)
+            some = self.choose_points(now, n, edge, 0)
+            self.lit_u[:some] += (look + 1) * NEXT_LOOK
+            self.lit_u[:some] -= np.floor(self.lit_u[:some])
+            super()._look_at_light(now, some, turn)
+        for target, values in zip((*self.hits, self.frames.position, self.frames.offset), kept, strict=True):
+            target[rows] = values
+        self.part = 1.0
+        self.choose_points(now, n, self.alive, 0)  # for the turns to come
+        self.lit_u[:m] = u
+        return None
+
+    def _stand_elsewhere(self, now, rows: np.ndarray, look: int, kept: list) -> None:
+        """Put the fragments `rows` on other points of their surfaces, where there are any."""
+        space, stage, image = self.space, self.stage, self.space.image
+        hits, frame = self.hits, self.frames
+        for target, values in zip((*hits, frame.position, frame.offset), kept, strict=True):
+            target[rows] = values
+        rays, met, found = allocate_rays(len(rows)), allocate_hits(len(rows)), allocate_frames(len(rows))
+        look_around(
+            image.view, np.int64(space.left), np.int64(space.low), image.camera.world_from_camera, space.fragments,
+            np.int64(self.first), rows, np.float64(space.cell), stage.tables, self.samples, now.slot, np.int64(look),
+            rays,
+        )  # fmt: skip
+        rays.visibility[:] = CAMERA
+        walk.intersect(stage.acceleration, rays, met)
+        self.counters["edge_rays"] += len(rows)
+        frames(stage.shader.geometry, rays, met, found)
+        alike = np.empty(len(rows), np.bool_)
+        width = now.state.spread[: self.count] * hits.t[: self.count] + now.state.width[: self.count]
+        same_surface(frame, rows, found, met, width, alike)
+        at = rows[alike]
+        for target, values in zip(
+            (*hits, frame.position, frame.offset), (*met, found.position, found.offset), strict=True
+        ):
+            target[at] = values[alike]
 
     def _clump_ratios(self, n: int) -> dict:
         """By light, (n,) float32: what clumps receive unhindered as distributions, against their visible points."""

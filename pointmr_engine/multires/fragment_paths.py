@@ -14,8 +14,9 @@ from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
-from pointmr_engine.multires.clumps import FLATNESS, Clumps, look_where_seen
+from pointmr_engine.multires.clumps import FLATNESS, Clumps
 from pointmr_engine.multires.curvature import spread_of_curvature
+from pointmr_engine.multires.looks import look_where_seen
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
 from pointmr_engine.raytracing import paths, walk
@@ -154,6 +155,7 @@ class FragmentPaths(Workspace):
             now.state.width[:count] = 0.0
         else:
             now.state.spread[:count] = 0.0
+        self.space, self.first, self.count = space, first, count
         n, bounce = self.meet(self.tile, now, then, count, 0), 0
         while n:
             now, then = then, now
@@ -203,6 +205,8 @@ class FragmentPaths(Workspace):
             surface = allocate_frames(len(todo))
             frames(stage.shader.geometry, part, met, surface)
             state = RayState(*(a[rows[todo]] for a in now.state[:-1]), now.state.camera_from_world)
+            state.width[:] = 0.0  # unfiltered, as shadow rays pass (integrator._pass_through)
+            state.spread[:] = 0.0
             clear = stage.shader.transparency_at(part, state, met, surface, hit).mean(1)
             slot = now.slot[rows[todo[hit]]]
             chance = np.empty(len(hit))

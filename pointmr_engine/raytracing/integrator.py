@@ -357,10 +357,9 @@ class Workspace:
         for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
             getattr(state, name)[rows] = getattr(now.state, name)[source]
         state.transparent_depth[rows] = self.shadows.passed[rows]
-        state.width[rows] = now.state.width[source] + now.state.spread[source] * self.hits.t[source].astype(
-            np.float32
-        )
-        state.spread[rows] = now.state.spread[source]
+        # unfiltered: what materials make of a mean of their images is not the mean of what they let through
+        state.width[rows] = 0.0
+        state.spread[rows] = 0.0
         share = stage.shader.transparency_at(
             self.shadows.rays, state, self.shadow_hits, self.shadow_frames, rows
         )

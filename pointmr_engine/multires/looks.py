@@ -1,0 +1,90 @@
+"""Looks: exact camera rays through places of the image where fragments are seen, and what belongs to their surface."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.forward.fragments import ray_through
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import sample_2d
+
+AROUND = 0x5AD0  # first dimension set of the numbers that `look_around` takes
+OFF = 1.0  # footprints: farthest from the fragment's plane that a point of its surface may be found
+ALIKE = 0.9  # least cosine between the normals of a fragment and of a point of its surface
+
+
+@device
+def _aim(view, world_from_camera, x, y, rays, i):
+    """Ray i through the place (x, y), as ray_through gives it, from the camera's near end on."""
+    c = world_from_camera
+    dx, dy, dz = 0.0, 0.0, 1.0
+    if view.perspective:
+        length = math.sqrt(x * x + y * y + 1.0)
+        dx, dy, dz = x / length, y / length, 1.0 / length
+        x, y = x * view.near, y * view.near
+    for r in range(3):
+        rays.direction[i, r] = c[r, 0] * dx + c[r, 1] * dy + c[r, 2] * dz
+        rays.origin[i, r] = c[r, 0] * x + c[r, 1] * y + c[r, 2] * view.near + c[r, 3]
+    rays.t_min[i] = 0.0
+    rays.t_max[i] = math.inf
+
+
+@uncounted
+def look_where_seen(view, left, low, world_from_camera, fragments, first, rows, seen, direction, rays):
+    """Rays 0..len(rows) towards the fragments first + rows.
+
+    seen (F, 2) int32: of each fragment one of the tile's subpixels that show it, which the ray goes through; empty: it
+    goes through the fragment's middle. left, low: the tile's first subpixel. direction (N, 3) float64 of the camera
+    rays, world space: changed at `rows`.
+    """
+    for i in range(len(rows)):
+        k = rows[i]
+        f = first + k
+        if len(seen) > 0:
+            x, y = ray_through(view, left + seen[f, 0] + 0.5, low + seen[f, 1] + 0.5)
+        else:
+            x, y = fragments.position[f, 0], fragments.position[f, 1]
+            if view.perspective:
+                x, y = x / fragments.position[f, 2], y / fragments.position[f, 2]
+        _aim(view, world_from_camera, x, y, rays, i)
+        for r in range(3):
+            direction[k, r] = rays.direction[i, r]
+
+
+@uncounted
+def look_around(
+    view, left, low, world_from_camera, fragments, first, rows, cell, tables, samples, slot, turn, rays
+):
+    """Rays 0..len(rows) through other places of the cells, `cell` subpixels wide, that show fragments first + rows.
+
+    slot (N,): the fragments' samples; turn: which of the looks at the same fragments this is.
+    """
+    for i in range(len(rows)):
+        f, s = first + rows[i], slot[rows[i]]
+        u, v = sample_2d(tables, samples.seed[s], np.uint32(AROUND + turn), samples.number[s])
+        x = left + fragments.x[f] + (u - 0.5) * cell
+        y = low + fragments.y[f] + (v - 0.5) * cell
+        x, y = ray_through(view, x, y)
+        _aim(view, world_from_camera, x, y, rays, i)
+
+
+@uncounted
+def same_surface(frame, rows, found, hits, width, out):
+    """out (len(rows),) bool: whether what looks found belongs to the surfaces of their fragments `rows`.
+
+    frame: Frames of the fragments; found: Frames of the looks' hits; width (N,) float32: the fragments' footprints,
+    metres.
+    """
+    for i in range(len(rows)):
+        k = rows[i]
+        out[i] = False
+        if hits.triangle[i] < 0:
+            continue
+        facing = off = 0.0
+        for a in range(3):
+            n = np.float64(frame.geometric_normal[k, a])
+            facing += n * np.float64(found.geometric_normal[i, a])
+            off += n * (found.position[i, a] - frame.position[k, a])
+        out[i] = abs(facing) >= ALIKE and abs(off) <= OFF * np.float64(width[k])
