@@ -25,13 +25,14 @@ from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.looks import look_around, same_surface
-from pointmr_engine.multires.scatter import keep_lobes, scatter_lobes
+from pointmr_engine.multires.scatter import STRONG, keep_lobes, restore_lobes, scatter_lobes, share_with_lobes
 from pointmr_engine.multires.shadow_edges import LOOKS, find_edges
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
-from pointmr_engine.raytracing.lights import LAMP, WORLD
+from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
+from pointmr_engine.raytracing.paths import SEES_LAMPS
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
@@ -42,8 +43,6 @@ _WEIGHTS = cell_weights()
 WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4
 FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
-CONE_WORTH = 0.5  # throughput from which a lobe of the first surface takes a cone, below a ray
-STRONG = 0.5  # throughput from which what a lobe sees is lit by cones; below, by one light sample
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 MOST = 3  # fragments of a cone
 NEXT_LOOK = np.array([0.7548776662466927, 0.5698402909980532, 0.6180339887498949])
@@ -152,6 +151,8 @@ class ConePaths(FragmentPaths):
         self.received = np.zeros((n, 3), np.float32)
         self.ones, self.ones_f = np.ones(n), np.ones(n, np.float32)
         self.swapped = np.empty((BATCH, self.alpha.shape[1] + 2, 3), np.float32)
+        self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
+        self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
         self.alive, self.part = None, 1.0
         self.low = self.high = None
@@ -188,7 +189,7 @@ class ConePaths(FragmentPaths):
         self._scatter(now, n, alive, bounce)
         lobes, light = self.lobes, self.light
         lobes.count[:n][~alive] = 0
-        keep_lobes(lobes, self.alpha, np.int64(n))
+        keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
         if bounce:
             weak = alive & (now.throughput[:n].max(1) < STRONG)
             self.stage = self.weak_stage
@@ -205,11 +206,11 @@ class ConePaths(FragmentPaths):
             self._wide_lamps(now, n)
 
     def sample_lights(self, m: int, turn=None):
-        """Light samples that nothing else finds: lobes' cones see the world and what shines, but no lamps."""
+        """Light samples: of the world and what shines, lobes see their part themselves (scatter.share_with_lobes)."""
         chosen = super().sample_lights(m, turn)
         chosen.mis[:] = False
         chosen.pdf[:] *= self.stage.lights.turns.count(turn)  # what is asked several times counts once
-        chosen.visibility[chosen.kind != LAMP] &= DIFFUSE
+        chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
         if self.part != 1.0:
             chosen.radiance[:] *= self.part
         if turn in self.ratios:
@@ -217,9 +218,30 @@ class ConePaths(FragmentPaths):
         return chosen
 
     def connect(self, now, m: int, chosen) -> int:
+        glints, kind = self.stage is self.weak_stage, chosen.kind
+        shared = glints or bool((kind == TRIANGLE).any())
+        if shared:
+            pdf = self._emitter_pdf(m, chosen)
+            share_with_lobes(
+                self.lobes, self.view.incoming, self.lit_rows, chosen, pdf, self.light.lights.arrays.lamps.mis,
+                glints, self.integrated, np.int64(m), self.shared,
+            )  # fmt: skip
         count = super().connect(now, m, chosen)
+        if shared:
+            restore_lobes(self.lobes, self.lit_rows, chosen, glints, np.int64(m), self.shared)
         self.open_light[self.shadows.source[:count]] = self.shadows.light[:count].sum(1)
         return count
+
+    def _emitter_pdf(self, m: int, chosen) -> np.ndarray:
+        """(m,) density with which the lights of the strong would choose what samples found: `_emission` asks them."""
+        found = np.flatnonzero(chosen.kind == TRIANGLE)
+        pdf = np.zeros(m)
+        if len(found):
+            pdf[found] = self.strong_stage.lights.emitter_pdf(
+                chosen.path[found], chosen.triangle[found], self.lit_position[found], self.lit_normal[found],
+                self.lit_transmissive[found], chosen.direction[found], chosen.distance[found],
+            )  # fmt: skip
+        return pdf
 
     def _look_at_light(self, now, m: int, turn) -> None:
         if self.alive is None or turn is None or turn[0] != LAMP:
@@ -344,6 +366,7 @@ class ConePaths(FragmentPaths):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
+            self.integrated,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
@@ -361,7 +384,7 @@ class ConePaths(FragmentPaths):
         """What the cones of n paths see is met; returns how many paths go on from there, in `then`."""
         light, lobes, met, hits = self.light, self.lobe_cones, self.met, self.hits
         weigh_sub_rays(lobes, np.int64(n))
-        strong = CONE_WORTH if bounce == 1 else 1.0
+        strong = STRONG if bounce == 1 else 1.0
         thin_out(now, lobes, self.samples, self.stage.tables, np.int64(bounce), strong, np.int64(n))
         most = max(1, min(MOST if bounce == 1 else 1, ROOM // n - 1))
         merging = Merging(most=most, seed=self.stage.settings.seed + bounce)
@@ -385,9 +408,10 @@ class ConePaths(FragmentPaths):
         frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
         return self.meet(tile, met, then, total, bounce) if total else 0
 
-    def sees_lamps(self, n: int, bounce: int) -> np.ndarray:
-        """Lamps are seen where nothing widens the view: elsewhere they are lit by."""
-        return np.ones(n) if bounce == 0 else (self.lobe_alpha[:n] <= 0.0).astype(np.float64)
+    def pdf_of_lamps(self, now, n: int, bounce: int) -> np.ndarray:
+        """Lamps are seen where nothing widens the view, or no sample looked for them: elsewhere they are lit by."""
+        sees = (self.lobe_alpha[:n] <= 0.0) | ((now.flags[:n] & SEES_LAMPS) != 0)
+        return np.where(sees | (bounce == 0), np.inf, 0.0)
 
     def seen_world(self, now, rays, rows: np.ndarray, bit: int):
         """The world, blurred by the lobes that see it; light samples look for it at diffuse lobes alone."""

@@ -22,6 +22,7 @@ STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
     -3.0,
 )  # LobeCones.alpha of rays: passing, or what a cone was
 _NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
+BY_LOBE = 0.0  # Paths.bsdf_pdf until the direction within the lobe is chosen
 FINE = 4  # places per side at which the lobe is taken in cells that its core covers in part
 
 
@@ -56,6 +57,34 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
 def _smith(cosine, alpha2):
     """Twice the visible share of facets, over the cosine (Smith; GGX)."""
     return 2.0 / (cosine + math.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine))
+
+
+@device
+def lobe_pdf(alpha2, normal, incoming, direction):
+    """Density per solid angle of a GGX lobe's reflections, microfacets chosen by their area; 0 below the surface."""
+    cosine = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
+    x, y, z = direction[0] + incoming[0], direction[1] + incoming[1], direction[2] + incoming[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if not (cosine > 0.0 and length > 0.0):
+        return 0.0
+    h = (normal[0] * x + normal[1] * y + normal[2] * z) / length
+    d = h * h * (alpha2 - 1.0) + 1.0
+    return max(
+        alpha2 * h / (math.pi * d * d * 2.0 * length), 0.0
+    )  # |wi + wo| is twice the cosine between wi and h
+
+
+@device
+def _pdf_of(lobes: LobeCones, k, alpha, direction, i):
+    """lobe_pdf of cone k's lobe, of roughness alpha, towards row i of direction; inf where it transmits or is sharp."""
+    n, w = lobes.normal, lobes.incoming
+    nx, ny, nz = np.float64(n[k, 0]), np.float64(n[k, 1]), np.float64(n[k, 2])
+    if not alpha > 0.0 or nx * nx + ny * ny + nz * nz == 0.0:
+        return math.inf
+    incoming = (np.float64(w[k, 0]), np.float64(w[k, 1]), np.float64(w[k, 2]))
+    return lobe_pdf(
+        alpha * alpha, (nx, ny, nz), incoming, (direction[i, 0], direction[i, 1], direction[i, 2])
+    )
 
 
 @device
@@ -123,6 +152,7 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
         c.t_min[m] = c.t_max[m] = 0.0
         if lobes.alpha[m] <= 0.0:
             lobes.alpha[m] = THROUGH_MIRROR
+            paths.bsdf_pdf[m] = math.inf
             continue
         slot = paths.slot[m]
         seed = np.uint32(samples.seed[slot] ^ np.uint32(m))
@@ -139,6 +169,8 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
         for a in range(3):
             d = c.axes[m, 2, a] + u * c.axes[m, 0, a] + v * c.axes[m, 1, a]
             paths.rays.direction[m, a] = d * inverse
+        if paths.bsdf_pdf[m] == BY_LOBE:
+            paths.bsdf_pdf[m] = _pdf_of(lobes, m, np.float64(lobes.alpha[m]), paths.rays.direction, m)
         lobes.alpha[m] = WITHIN_LOBE
 
 
@@ -192,6 +224,8 @@ def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, r
         k = np.int64(fragments.cone[r])
         weight, _, _, _ = _look(lobes, k, fragments.mask[r])
         copy_path(paths, k, weight, out, np.int64(r))
+        if paths.bsdf_pdf[k] == BY_LOBE:
+            out.bsdf_pdf[r] = _pdf_of(lobes, k, np.float64(lobes.alpha[k]), out.rays.direction, np.int64(r))
         out.rays.visibility[r] = paths.rays.visibility[k]
         share = math.sqrt(min(weight, 1.0))
         a = max(np.float64(lobes.alpha[k]), 0.0)

@@ -12,10 +12,11 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
-from pointmr_engine.multires.lobe_view import STRAIGHT
+from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
-from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, THROUGH, copy_path, copy_ray
+from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
+from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, SEES_LAMPS, THROUGH, copy_path, copy_ray
 from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
@@ -41,7 +42,8 @@ CORE, REST = (
     10.0,
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 WIDEST = 3.0  # tangent of a cone's half angle at most
-STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray (cone_paths.CONE_WORTH)
+STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
+GLINTS = 0.15  # roughness below which weak lobes behind the first surface see lamps themselves: samples would glitter
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
 
@@ -52,7 +54,7 @@ def _continue(
 ):
     """Row m of `out` becomes the path k after one more bounce, with throughput (r, g, b)."""
     a, s = paths.state, out.state
-    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP)
+    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS)
     s.depth[m] = a.depth[k] + 1
     s.diffuse_depth[m] = a.diffuse_depth[k]
     s.glossy_depth[m] = a.glossy_depth[k] + glossy
@@ -163,11 +165,12 @@ def _branch(chosen, weight, before, target, total, weak):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record):  # fmt: skip
+                  record, integrated):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
-    transparency is a path without a cone of its own: the ray goes on.
+    transparency is a path without a cone of its own: the ray goes on. integrated (N, L) bool: lobes whose cones
+    find all that shines on them, without chance.
     """
     m = np.int64(0)
     for k in range(n):
@@ -190,6 +193,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         if not total > 0.0:
             continue
         chosen = bounce > 0 or total < SPLIT or crowded
+        glints = bounce > 0 and _largest(t) < STRONG
         weak = WEAK if bounce == 0 else WEAK_LATER
         target = 0.0
         if chosen:
@@ -208,33 +212,98 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             record.cones.t_min[m] = record.cones.t_max[m] = 0.0
             m += 1
         for j in range(np.int64(lobes.count[k])):
+            integrated[k, j] = False
             r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
             f = _branch(chosen, _largest(r), before, target, total, weak)
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
+                integrated[k, j] = bounce == 0 and not chosen and _largest(r) >= STRONG
                 m = _reflect(
-                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, wi, out, m, record
-                )
+                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, wi, out, m, record, glints,
+                    integrated[k, j],
+                )  # fmt: skip
             f = _branch(chosen, _largest(g), before, target, total, weak)
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
                 m = _refract(
-                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, wi, out, m, record
+                    paths,
+                    np.int64(k),
+                    np.int64(j),
+                    hits,
+                    frames,
+                    lobes,
+                    limits,
+                    g,
+                    wi,
+                    out,
+                    m,
+                    record,
+                    glints,
                 )
     return m
 
 
 @device
-def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
+def _roughness(lobes, k, j):
+    """Mean roughness of lobe j of point k."""
+    if lobes.kind[k, j] & KIND_MASK == ASHIKHMIN_SHIRLEY:
+        return 0.3
+    return math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+
+
+@uncounted
+def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, integrated, count, kept):
+    """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
+
+    Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
+    the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, sharp lobes alone see lamps that rays can
+    meet. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    """
+    for i in range(count):
+        if samples.kind[i] != TRIANGLE and not (glints and samples.kind[i] == LAMP):
+            continue
+        k = np.int64(rows[i])
+        w, wi = row3(samples.direction, i), row3(incoming, k)
+        for j in range(np.int64(lobes.count[k])):
+            share = 1.0
+            base = lobes.kind[k, j] & KIND_MASK
+            if base > TRANSLUCENT:
+                rough = _roughness(lobes, k, np.int64(j))
+                if samples.kind[i] == LAMP:
+                    share = 0.0 if rough < GLINTS and mis_of_lamp[samples.index[i]] else 1.0
+                elif integrated[k, j] or base == REFRACTION:
+                    share = 0.0
+                elif pdf[i] > 0.0:
+                    normal = load3(lobes.data, k, j, NORMAL)
+                    ratio = lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
+                    if base == GLASS and dot(normal, w) <= 0.0:
+                        ratio = math.inf
+                    share = 1.0 / (1.0 + ratio * ratio)
+            for c in range(3):
+                kept[i, j, c] = lobes.data[k, j, WEIGHT + c]
+                lobes.data[k, j, WEIGHT + c] *= share
+
+
+@uncounted
+def restore_lobes(lobes, rows, samples, glints, count, kept):
+    """Undo `share_with_lobes`."""
+    for i in range(count):
+        if samples.kind[i] == TRIANGLE or (glints and samples.kind[i] == LAMP):
+            k = np.int64(rows[i])
+            for j in range(np.int64(lobes.count[k])):
+                for c in range(3):
+                    lobes.data[k, j, WEIGHT + c] = kept[i, j, c]
+
+
+@device
+def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, glints, integrated):
     """The cone of a lobe that reflects, or the two of one that matters, with throughput w; returns the next row."""
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
-    rough = math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
-    if kind & KIND_MASK == ASHIKHMIN_SHIRLEY:
-        rough = 0.3
+    rough = _roughness(lobes, k, j)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     d = (2.0 * cosine * nm[0] - wi[0], 2.0 * cosine * nm[1] - wi[1], 2.0 * cosine * nm[2] - wi[2])
     d = towards_normal(nm, d, rough)
@@ -248,6 +317,10 @@ def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
             wide *= REST / CORE
         _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
                   RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
+        if glints and rough < GLINTS:
+            out.flags[m] |= SEES_LAMPS
+        if singular == 0 and not integrated:
+            out.bsdf_pdf[m] = BY_LOBE
         out.state.spread[m] = paths.state.spread[k]
         _open_cone(record.cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2])
         record.alpha[m] = 0.0 if singular else rough
@@ -260,12 +333,12 @@ def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
 
 
 @device
-def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
+def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, glints):
     """The cone of a lobe that transmits, with throughput w; returns the next row."""
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
-    rough = math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+    rough = _roughness(lobes, k, j)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     ior = np.float64(lobes.data[k, j, IOR])
     inverse = 1.0 / ior if ior > 0.0 else 1.0
@@ -276,6 +349,8 @@ def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record):
     d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
     _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
+    if glints and rough < GLINTS:
+        out.flags[m] |= SEES_LAMPS
     out.state.spread[m] = paths.state.spread[k]
     bend = abs(1.0 - inverse) * rough
     wide = 0.0 if singular else WIDE * bend
@@ -306,10 +381,10 @@ def _pass(paths, k, out, m, hits, frames, limits, r, g, b):
 
 
 @uncounted
-def keep_lobes(lobes, alpha, count):
+def keep_lobes(lobes, alpha, integrated, count):
     """Drop the lobes of points 0..count that only cones can follow: perfect mirrors and clear glass.
 
-    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals left it.
+    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals left it; integrated (N, L): see scatter_lobes.
     """
     for k in range(count):
         kept = np.int64(0)
@@ -319,6 +394,7 @@ def keep_lobes(lobes, alpha, count):
                 continue
             if kept != j:
                 lobes.kind[k, kept] = kind
+                integrated[k, kept] = integrated[k, j]
                 alpha[k, kept, 0], alpha[k, kept, 1] = alpha[k, j, 0], alpha[k, j, 1]
                 for c in range(lobes.data.shape[2]):
                     lobes.data[k, kept, c] = lobes.data[k, j, c]

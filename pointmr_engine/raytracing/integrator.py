@@ -231,9 +231,9 @@ class Workspace:
             met = np.zeros((n, 3), np.float32)
             lights.seen_lamps(
                 rays.origin, rays.direction, self.hits.t[:n], rays.visibility, now.origin_normal[:n],
-                now.origin_transmissive[:n], now.bsdf_pdf[:n], met,
+                now.origin_transmissive[:n], self.pdf_of_lamps(now, n, bounce), met,
             )  # fmt: skip
-            paths.add_radiance(now, self.samples, stage.limits, met, self.sees_lamps(n, bounce), n)
+            paths.add_radiance(now, self.samples, stage.limits, met, np.ones(n), n)
         missed = ~alive
         if not missed.any():
             return
@@ -251,9 +251,9 @@ class Workspace:
             radiance[rows], weight[rows] = self.seen_world(now, rays, rows, bit)
         paths.add_radiance(now, self.samples, stage.limits, radiance, weight, n)
 
-    def sees_lamps(self, n: int, bounce: int) -> np.ndarray:
-        """(n,) weights of the lamps that the rays pass, beside those against light samples."""
-        return np.ones(n)
+    def pdf_of_lamps(self, now, n: int, bounce: int) -> np.ndarray:
+        """(n,) density of the rays against that of light samples: inf where lamps are met alone, 0 where not at all."""
+        return now.bsdf_pdf[:n]
 
     def seen_world(
         self, now, rays: Rays, rows: np.ndarray, bit: int

@@ -42,6 +42,7 @@ LAST = 2  # the next surface is the last, transparent or not
 BACKDROP = 4  # nothing but transparent surfaces so far: alpha and passes see through
 PASSES_DONE = 8  # the normal pass has its surface
 THROUGH = 16  # some surface was passed straight
+SEES_LAMPS = 32  # no light sample looked for lamps in the ray's place (multires)
 
 
 class Paths(NamedTuple):
