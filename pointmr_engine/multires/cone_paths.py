@@ -1,4 +1,4 @@
-"""Light by cones where they are the cheaper way, and by stratified rays elsewhere: `ConeLight` decides.
+"""Light by cones where they are the cheaper way, and by stratified rays elsewhere: `cone_light` decides.
 
 A workspace of raytracing's integrator whose stages are replaced: the direct light of wide lamps is their open light
 times the share that shadow cones find free; strong lobes send cones, and what these meet goes on as paths with the
@@ -7,138 +7,33 @@ weight of their coverage.
 
 from __future__ import annotations
 
-import math
-import threading
-from dataclasses import replace
-
 import numpy as np
 
-from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals
 from pointmr_engine.forward.world_light import world_lobe
-from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.clumps import ratios, restore_normals, swap_normals
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
-from pointmr_engine.multires.cone_walk import visible
-from pointmr_engine.multires.cones import Cones, allocate_cones
-from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
+from pointmr_engine.multires.cones import allocate_cones
+from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
-from pointmr_engine.multires.looks import look_around, same_surface
 from pointmr_engine.multires.scatter import STRONG, keep_lobes, restore_lobes, scatter_lobes, share_with_lobes
-from pointmr_engine.multires.shadow_edges import LOOKS, find_edges
+from pointmr_engine.multires.shadow_edges import EdgePaths
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
-from pointmr_engine.raytracing.integrator import Stage
-from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
 from pointmr_engine.raytracing.paths import SEES_LAMPS
-from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
-from pointmr_engine.raytracing.surface import allocate_frames, frames
-from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.raytracing.surface import frames
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 _WEIGHTS = cell_weights()
-# shadow rays of a fragment to the world, to emitters, to one of many lights
-WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4
-FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
-SHARP = 0.02  # half angle (rad) up to which a sun takes rays
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 MOST = 3  # fragments of a cone
-NEXT_LOOK = np.array([0.7548776662466927, 0.5698402909980532, 0.6180339887498949])
 NO_SHADOWS = np.zeros((0, 0), np.float32)
-OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
 
 
-class ConeLight:
-    """What the threads of an image share: which lights take cones and which take rays, and what cones walk.
-
-    Wide lamps take a cone from every point. Sharp ones, the world and emissive surfaces take shadow rays, a few for
-    each of a pixel's fragments, in one stratified set: measured, they cost less there than cones that find as much.
-    """
-
-    def __init__(self, scene, sampler, stage):
-        world = sampler.world_light
-        self.world = world
-        self.acceleration = stage.acceleration
-        self.lights = lights = stage.lights
-        arrays = lights.arrays
-        lamps = len(arrays.lamps.shape)
-        wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
-        turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
-        if len(wide) <= FEW and len(turns) <= FEW:
-            # rays that pass leaves are dear
-            rays = WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS
-            turns += [(WORLD, 0)] * (rays if arrays.tree.leaf_of_world != -1 else 0)
-            turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
-            self.rays = lights.asked(turns)
-        else:
-            wide, self.rays = [], lights.taken(MANY_RAYS)
-        of = arrays.lamps.source
-        self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
-        # one by one, those that take cones before those that take rays: for clumps
-        each = [*wide, *(t[1] for t in self.rays.turns if t is not None and t[0] == LAMP)]
-        self.each = [(k, compile_lamps([scene.lights[of[k]]])[0]) for k in each]
-        self._sampler, self._lock = sampler, threading.Lock()
-
-    def prefiltered(self) -> tuple:
-        """What shadow cones walk and what lobes' cones walk, made when the first cone asks.
-
-        Shadows pass what is transparent by its mean opacity; lobes see surfaces, whose shading lets them through.
-        """
-        sampler = self._sampler
-        with self._lock:
-            if sampler.prefiltered is None:
-                opacity = mean_opacity(sampler)
-                whole = prefilter(self.acceleration)
-                clear = whole if (opacity == 1.0).all() else prefilter(self.acceleration, opacity)
-                sampler.prefiltered = clear, whole
-        return sampler.prefiltered
-
-    def stage(self, stage: Stage, lights) -> Stage:
-        """The integrator's stage whose light samples ask `lights`."""
-        return replace(
-            stage,
-            lights=lights,
-            needs=replace(stage.needs, light_samples=True),
-            limits=stage.limits._replace(diffuse_by_lights=True),
-        )
-
-    def blocked(self, cones: Cones, count: int, masks: np.ndarray) -> None:
-        """masks (N,) uint64: the sub-rays of cones 0..count that something stops."""
-        visible(self.acceleration, self.prefiltered()[0], cones, masks, None, 0, count)
-
-
-def _is_wide(lamps, k: int) -> bool:
-    """Whether shadows of lamp k have wide penumbras."""
-    row, shape = lamps.values[k], lamps.shape[k]
-    if shape == SUN:
-        return row[CONE] > 1.0 - math.cos(SHARP)
-    return shape not in (POINT, DISTANT) and bool(lamps.cast_shadow[k])
-
-
-def mean_opacity(sampler) -> np.ndarray:
-    """(materials,) mean opacity of each material, over the middles of a few of its triangles where it varies."""
-    opacity = np.array([float(p.opaque) for p in sampler.programs] + [1.0])[: len(sampler.geometry.materials)]
-    for p in range(len(sampler.geometry.parts)):
-        tables = sampler.geometry.tables
-        slots = tables.slot_material[tables.first_slot[p] : tables.first_slot[p] + tables.slots[p]]
-        if all(sampler.programs[m].opaque for m in slots):
-            continue
-        count = len(sampler.geometry.shapes[tables.shape[p]].triangles)
-        if not count:
-            continue
-        triangle = np.unique(np.linspace(0, count - 1, OPACITY_LOOKS).astype(np.int32))
-        some = np.full(len(triangle), p, np.int32), triangle, *np.full((3, len(triangle)), 1 / 3, np.float32)
-        alpha = sampler.baker(*some).alpha
-        material = np.empty(len(triangle), np.int32)
-        materials_of(tables, *some[:2], material)
-        for m in np.unique(material):
-            opacity[m] = alpha[material == m].mean()
-    return opacity
-
-
-class ConePaths(FragmentPaths):
+class ConePaths(EdgePaths):
     """One thread's paths by cones. light: ConeLight, what all threads share."""
 
     def __init__(self, stage, light):
@@ -154,9 +49,6 @@ class ConePaths(FragmentPaths):
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
-        self.alive, self.part = None, 1.0
-        self.low = self.high = None
-        self.open_light = np.zeros(n)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
         self.shifts = np.empty((n, 2))
@@ -169,11 +61,6 @@ class ConePaths(FragmentPaths):
         self.masks = np.empty(n, np.uint64)
         self.lobe_alpha = np.zeros(n, np.float32)
         self.going = 0
-
-    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
-        if self.low is None or self.low.shape != space.used.shape:
-            self.low, self.high = np.empty(space.used.shape), np.empty(space.used.shape)
-        super().trace(space, hierarchy, values, first, count)
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:
@@ -198,10 +85,8 @@ class ConePaths(FragmentPaths):
             alive = alive & ~weak
         self.stage = self.strong_stage
         self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
-        self.alive = alive if bounce == 0 and len(self.space.seen) else None
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
-        self.alive = None
         if len(light.lamps.shape) and lobes.count[:n].any():
             self._wide_lamps(now, n)
 
@@ -211,8 +96,6 @@ class ConePaths(FragmentPaths):
         chosen.mis[:] = False
         chosen.pdf[:] *= self.stage.lights.turns.count(turn)  # what is asked several times counts once
         chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
-        if self.part != 1.0:
-            chosen.radiance[:] *= self.part
         if turn in self.ratios:
             chosen.radiance[:] *= self.ratios[turn][self.lit_rows[:m], None]
         return chosen
@@ -229,7 +112,6 @@ class ConePaths(FragmentPaths):
         count = super().connect(now, m, chosen)
         if shared:
             restore_lobes(self.lobes, self.lit_rows, chosen, glints, np.int64(m), self.shared)
-        self.open_light[self.shadows.source[:count]] = self.shadows.light[:count].sum(1)
         return count
 
     def _emitter_pdf(self, m: int, chosen) -> np.ndarray:
@@ -242,67 +124,6 @@ class ConePaths(FragmentPaths):
                 self.lit_transmissive[found], chosen.direction[found], chosen.distance[found],
             )  # fmt: skip
         return pdf
-
-    def _look_at_light(self, now, m: int, turn) -> None:
-        if self.alive is None or turn is None or turn[0] != LAMP:
-            return super()._look_at_light(now, m, turn)
-        n, radiance = self.count, self.samples.radiance
-        before = radiance[:n].copy()
-        self.open_light[:n] = 0.0
-        super()._look_at_light(now, m, turn)
-        f, space = self.space.fragments, self.space
-        got = (radiance[:n] - before).sum(1)
-        edge = np.empty(n, np.bool_)
-        find_edges(
-            self.pixel, space.used.shape, self.open_light, got, f.count[self.first : self.first + n], np.int64(n),
-            self.low, self.high, edge,
-        )  # fmt: skip
-        entry = f.entry[self.first : self.first + n]
-        edge &= space.scratch.entries.surfel[entry] < 0
-        rows = np.flatnonzero(edge)
-        if not len(rows):
-            return None
-        u = self.lit_u[:m].copy()
-        self.part = 1.0 / (1 + LOOKS)  # the middle is one of the points
-        radiance[rows] = before[rows] + self.part * (radiance[rows] - before[rows])
-        kept = [a[rows].copy() for a in (*self.hits, self.frames.position, self.frames.offset)]
-        for look in range(LOOKS):
-            self._stand_elsewhere(now, rows, look, kept)
-            some = self.choose_points(now, n, edge, 0)
-            self.lit_u[:some] += (look + 1) * NEXT_LOOK
-            self.lit_u[:some] -= np.floor(self.lit_u[:some])
-            super()._look_at_light(now, some, turn)
-        for target, values in zip((*self.hits, self.frames.position, self.frames.offset), kept, strict=True):
-            target[rows] = values
-        self.part = 1.0
-        self.choose_points(now, n, self.alive, 0)  # for the turns to come
-        self.lit_u[:m] = u
-        return None
-
-    def _stand_elsewhere(self, now, rows: np.ndarray, look: int, kept: list) -> None:
-        """Put the fragments `rows` on other points of their surfaces, where there are any."""
-        space, stage, image = self.space, self.stage, self.space.image
-        hits, frame = self.hits, self.frames
-        for target, values in zip((*hits, frame.position, frame.offset), kept, strict=True):
-            target[rows] = values
-        rays, met, found = allocate_rays(len(rows)), allocate_hits(len(rows)), allocate_frames(len(rows))
-        look_around(
-            image.view, np.int64(space.left), np.int64(space.low), image.camera.world_from_camera, space.fragments,
-            np.int64(self.first), rows, np.float64(space.cell), stage.tables, self.samples, now.slot, np.int64(look),
-            rays,
-        )  # fmt: skip
-        rays.visibility[:] = CAMERA
-        walk.intersect(stage.acceleration, rays, met)
-        self.counters["edge_rays"] += len(rows)
-        frames(stage.shader.geometry, rays, met, found)
-        alike = np.empty(len(rows), np.bool_)
-        width = now.state.spread[: self.count] * hits.t[: self.count] + now.state.width[: self.count]
-        same_surface(frame, rows, found, met, width, alike)
-        at = rows[alike]
-        for target, values in zip(
-            (*hits, frame.position, frame.offset), (*met, found.position, found.offset), strict=True
-        ):
-            target[at] = values[alike]
 
     def _clump_ratios(self, n: int) -> dict:
         """By light, (n,) float32: what clumps receive unhindered as distributions, against their visible points."""

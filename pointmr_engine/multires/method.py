@@ -14,7 +14,8 @@ import numpy as np
 
 from pointmr_engine.forward.method import Image
 from pointmr_engine.forward.tiles import TILE, Workspace
-from pointmr_engine.multires.cone_paths import ConeLight, ConePaths
+from pointmr_engine.multires.cone_light import ConeLight
+from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.merge import choose_seen, merge_fragments
 from pointmr_engine.raytracing.integrator import Stage

@@ -8,10 +8,20 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from pointmr_engine.multires.fragment_paths import FragmentPaths
+from pointmr_engine.multires.looks import look_around, same_surface
 from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.raytracing import walk
+from pointmr_engine.raytracing.lights import LAMP
+from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
+from pointmr_engine.raytracing.surface import allocate_frames, frames
+from pointmr_engine.scene.group import CAMERA
 
 LOOKS = 3  # more points of a fragment
 LARGE = 8  # subpixels from which a fragment is worth more than one point
+NEXT_LOOK = np.array([0.7549, 0.5698, 0.6180])  # from look to look, in the unit cube of the lamp's points
 DIFFERENT = 0.1  # of a lamp's light: shares of neighbours between which an edge lies
 
 
@@ -42,3 +52,96 @@ def find_edges(pixel, shape, open_light, light, subpixels, count, low, high, edg
             for p in range(max(i - 1, 0), min(i + 2, columns)):
                 least, most = min(least, low[q, p]), max(most, high[q, p])
         edge[k] = most - least > DIFFERENT
+
+
+class EdgePaths(FragmentPaths):
+    """Paths from fragments whose direct light follows the edges of sharp shadows."""
+
+    def __init__(self, stage, room: int):
+        super().__init__(stage, room)
+        self.alive = None  # (n,) of the fragments whose edges matter, while they are lit
+        self.part = 1.0  # of a light sample
+        self.open_light = np.zeros(len(self.flat))
+        self.low, self.high = np.empty((0, 0)), np.empty((0, 0))
+
+    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
+        if self.low.shape != space.used.shape:
+            self.low, self.high = np.empty(space.used.shape), np.empty(space.used.shape)
+        super().trace(space, hierarchy, values, first, count)
+
+    def _direct_light(self, now, n: int, alive, bounce: int) -> None:
+        self.alive = alive if bounce == 0 and len(self.space.seen) else None
+        super()._direct_light(now, n, alive, bounce)
+        self.alive = None
+
+    def sample_lights(self, m: int, turn=None):
+        chosen = super().sample_lights(m, turn)
+        if self.part != 1.0:
+            chosen.radiance[:] *= self.part
+        return chosen
+
+    def connect(self, now, m: int, chosen) -> int:
+        count = super().connect(now, m, chosen)
+        self.open_light[self.shadows.source[:count]] = self.shadows.light[:count].sum(1)
+        return count
+
+    def _look_at_light(self, now, m: int, turn) -> None:
+        if self.alive is None or turn is None or turn[0] != LAMP:
+            super()._look_at_light(now, m, turn)
+            return
+        n, radiance = self.count, self.samples.radiance
+        before = radiance[:n].copy()
+        self.open_light[:n] = 0.0
+        super()._look_at_light(now, m, turn)
+        f, space = self.space.fragments, self.space
+        got = (radiance[:n] - before).sum(1)
+        edge = np.empty(n, np.bool_)
+        find_edges(
+            self.pixel, space.used.shape, self.open_light, got, f.count[self.first : self.first + n], np.int64(n),
+            self.low, self.high, edge,
+        )  # fmt: skip
+        entry = f.entry[self.first : self.first + n]
+        edge &= space.scratch.entries.surfel[entry] < 0
+        rows = np.flatnonzero(edge)
+        if not len(rows):
+            return
+        u = self.lit_u[:m].copy()
+        self.part = 1.0 / (1 + LOOKS)  # the middle is one of the points
+        radiance[rows] = before[rows] + self.part * (radiance[rows] - before[rows])
+        kept = [a[rows].copy() for a in (*self.hits, self.frames.position, self.frames.offset)]
+        for look in range(LOOKS):
+            self._stand_elsewhere(now, rows, look, kept)
+            some = self.choose_points(now, n, edge, 0)
+            self.lit_u[:some] += (look + 1) * NEXT_LOOK
+            self.lit_u[:some] -= np.floor(self.lit_u[:some])
+            super()._look_at_light(now, some, turn)
+        for target, values in zip((*self.hits, self.frames.position, self.frames.offset), kept, strict=True):
+            target[rows] = values
+        self.part = 1.0
+        self.choose_points(now, n, self.alive, 0)  # for the turns to come
+        self.lit_u[:m] = u
+
+    def _stand_elsewhere(self, now, rows: np.ndarray, look: int, kept: list) -> None:
+        """Put the fragments `rows` on other points of their surfaces, where there are any."""
+        space, stage, image = self.space, self.stage, self.space.image
+        hits, frame = self.hits, self.frames
+        for target, values in zip((*hits, frame.position, frame.offset), kept, strict=True):
+            target[rows] = values
+        rays, met, found = allocate_rays(len(rows)), allocate_hits(len(rows)), allocate_frames(len(rows))
+        look_around(
+            image.view, np.int64(space.left), np.int64(space.low), image.camera.world_from_camera, space.fragments,
+            np.int64(self.first), rows, np.float64(space.cell), stage.tables, self.samples, now.slot, np.int64(look),
+            rays,
+        )  # fmt: skip
+        rays.visibility[:] = CAMERA
+        walk.intersect(stage.acceleration, rays, met)
+        self.counters["edge_rays"] += len(rows)
+        frames(stage.shader.geometry, rays, met, found)
+        alike = np.empty(len(rows), np.bool_)
+        width = now.state.spread[: self.count] * hits.t[: self.count] + now.state.width[: self.count]
+        same_surface(frame, rows, found, met, width, alike)
+        at = rows[alike]
+        for target, values in zip(
+            (*hits, frame.position, frame.offset), (*met, found.position, found.offset), strict=True
+        ):
+            target[at] = values[alike]

@@ -1,0 +1,111 @@
+"""Which lights take cones, which take rays, and what the cones walk: `ConeLight`, which an image's threads share."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from pointmr_engine.forward.baking import materials_of
+from pointmr_engine.hierarchy.prefilter import prefilter
+from pointmr_engine.multires.cone_walk import visible
+from pointmr_engine.multires.cones import Cones
+from pointmr_engine.raytracing.integrator import Stage
+from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
+from pointmr_engine.raytracing.lights import LAMP, WORLD
+
+# shadow rays of a fragment to the world, to emitters, to one of many lights
+WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4
+FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
+SHARP = 0.02  # half angle (rad) up to which a sun takes rays
+OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
+
+
+class ConeLight:
+    """What the threads of an image share: which lights take cones and which take rays, and what cones walk.
+
+    Wide lamps take a cone from every point. Sharp ones, the world and emissive surfaces take shadow rays, a few for
+    each of a pixel's fragments, in one stratified set: measured, they cost less there than cones that find as much.
+    """
+
+    def __init__(self, scene, sampler, stage):
+        world = sampler.world_light
+        self.world = world
+        self.acceleration = stage.acceleration
+        self.lights = lights = stage.lights
+        arrays = lights.arrays
+        lamps = len(arrays.lamps.shape)
+        wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
+        turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
+        if len(wide) <= FEW and len(turns) <= FEW:
+            # rays that pass leaves are dear
+            rays = WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS
+            turns += [(WORLD, 0)] * (rays if arrays.tree.leaf_of_world != -1 else 0)
+            turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
+            self.rays = lights.asked(turns)
+        else:
+            wide, self.rays = [], lights.taken(MANY_RAYS)
+        of = arrays.lamps.source
+        self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
+        # one by one, those that take cones before those that take rays: for clumps
+        each = [*wide, *(t[1] for t in self.rays.turns if t is not None and t[0] == LAMP)]
+        self.each = [(k, compile_lamps([scene.lights[of[k]]])[0]) for k in each]
+        self._sampler, self._lock = sampler, threading.Lock()
+
+    def prefiltered(self) -> tuple:
+        """What shadow cones walk and what lobes' cones walk, made when the first cone asks.
+
+        Shadows pass what is transparent by its mean opacity; lobes see surfaces, whose shading lets them through.
+        """
+        sampler = self._sampler
+        with self._lock:
+            if sampler.prefiltered is None:
+                opacity = mean_opacity(sampler)
+                whole = prefilter(self.acceleration)
+                clear = whole if (opacity == 1.0).all() else prefilter(self.acceleration, opacity)
+                sampler.prefiltered = clear, whole
+        return sampler.prefiltered
+
+    def stage(self, stage: Stage, lights) -> Stage:
+        """The integrator's stage whose light samples ask `lights`."""
+        return replace(
+            stage,
+            lights=lights,
+            needs=replace(stage.needs, light_samples=True),
+            limits=stage.limits._replace(diffuse_by_lights=True),
+        )
+
+    def blocked(self, cones: Cones, count: int, masks: np.ndarray) -> None:
+        """masks (N,) uint64: the sub-rays of cones 0..count that something stops."""
+        visible(self.acceleration, self.prefiltered()[0], cones, masks, None, 0, count)
+
+
+def _is_wide(lamps, k: int) -> bool:
+    """Whether shadows of lamp k have wide penumbras."""
+    row, shape = lamps.values[k], lamps.shape[k]
+    if shape == SUN:
+        return row[CONE] > 1.0 - math.cos(SHARP)
+    return shape not in (POINT, DISTANT) and bool(lamps.cast_shadow[k])
+
+
+def mean_opacity(sampler) -> np.ndarray:
+    """(materials,) mean opacity of each material, over the middles of a few of its triangles where it varies."""
+    opacity = np.array([float(p.opaque) for p in sampler.programs] + [1.0])[: len(sampler.geometry.materials)]
+    for p in range(len(sampler.geometry.parts)):
+        tables = sampler.geometry.tables
+        slots = tables.slot_material[tables.first_slot[p] : tables.first_slot[p] + tables.slots[p]]
+        if all(sampler.programs[m].opaque for m in slots):
+            continue
+        count = len(sampler.geometry.shapes[tables.shape[p]].triangles)
+        if not count:
+            continue
+        triangle = np.unique(np.linspace(0, count - 1, OPACITY_LOOKS).astype(np.int32))
+        some = np.full(len(triangle), p, np.int32), triangle, *np.full((3, len(triangle)), 1 / 3, np.float32)
+        alpha = sampler.baker(*some).alpha
+        material = np.empty(len(triangle), np.int32)
+        materials_of(tables, *some[:2], material)
+        for m in np.unique(material):
+            opacity[m] = alpha[material == m].mean()
+    return opacity
