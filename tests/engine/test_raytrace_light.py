@@ -1,0 +1,203 @@
+"""Light of method "raytrace" where samples meet distributions: clumps, shadows' edges, lobes beside light samples."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.forward.scenes import forest, look
+from pointmr_engine import (
+    Camera,
+    Group,
+    Light,
+    Mesh,
+    RenderSettings,
+    Scene,
+    principled,
+    render,
+    uniform_world,
+)
+from pointmr_engine.multires.clumps import Clumps, ratios
+from pointmr_engine.multires.lobe_view import lobe_pdf
+from pointmr_engine.multires.merge import choose_seen
+from pointmr_engine.multires.shadow_edges import LARGE, find_edges
+from pointmr_engine.render import Cache
+from pointmr_engine.scene.settings import RaytraceSettings
+from tests.engine.small_scenes import lit_floor, quad
+
+DARK = uniform_world((0.0, 0.0, 0.0))
+SUN = Light("SUN", look((-2, -3, 7), (0, 0, 0)), power=4.5, angle=0.0)
+
+
+def image(scene, cache=None, size=(48, 36), cones=1, **settings) -> np.ndarray:
+    """(height, width, 3) float64."""
+    chosen = RenderSettings(
+        *size, **{"method": "raytrace", "raytrace": RaytraceSettings(cones=cones)} | settings
+    )
+    return render(scene, chosen, cache=cache).passes["combined"][..., :3].astype(float)
+
+
+# Clumps
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.2])
+def test_suns_on_far_foliage_bring_as_much_as_in_the_exact_image(angle):
+    """A wide sun's shadow and the normals of leaves do not vary by themselves: their means' product is 1.3 times it."""
+    flight = forest(400)
+    scene = Scene(flight.root, flight.cameras[5], [replace(SUN, angle=angle)], DARK)
+    cache = Cache()
+    exact = image(scene, cache, method="distributed", samples=256)
+    ours = np.mean([image(scene, cache, seed=s) for s in range(4)], 0)
+    assert ours.mean() == pytest.approx(exact.mean(), rel=0.05)
+
+
+def test_ratios_are_those_of_the_sums_in_each_pixel():
+    clumps = Clumps(
+        np.array([1, 2, 4]), np.zeros((3, 3), np.float32), np.array([0, 0, 7]), np.array([1.0, 3.0, 5.0])
+    )
+    spread_out, at_points = np.zeros((5, 3), np.float32), np.zeros((5, 3), np.float32)
+    spread_out[[1, 2, 4]] = [[1.0], [2.0], [3.0]]
+    at_points[[1, 2, 4]] = [[4.0], [0.0], [0.0]]
+    found = ratios(clumps, spread_out, at_points, 5)
+    assert found.tolist() == [1.0, 1.75, 1.75, 1.0, 0.0]  # (1 * 1 + 3 * 2) / (1 * 4); nothing faces the light
+
+
+@given(st.integers(1, 5), st.integers(0, 1000), st.integers(0, 1000))
+def test_the_subpixel_that_stands_for_a_fragment_shows_it(count, left, low):
+    rng = np.random.default_rng(count)
+    ids = rng.integers(-1, count, (12, 16)).astype(np.int32)
+    seen, times = np.full((count, 2), -1, np.int32), np.empty(count, np.int32)
+    choose_seen(ids, np.int64(16), np.int64(12), np.int64(left), np.int64(low), np.int64(count), times, seen)
+    for k in range(count):
+        if (ids == k).any():
+            assert ids[seen[k, 1], seen[k, 0]] == k
+
+
+def test_all_subpixels_of_a_fragment_may_stand_for_it():
+    ids, chosen = np.zeros((4, 4), np.int32), np.zeros((4, 4))
+    seen, times = np.empty((1, 2), np.int32), np.empty(1, np.int32)
+    for left in range(0, 8000, 4):
+        choose_seen(ids, np.int64(4), np.int64(4), np.int64(left), np.int64(0), np.int64(1), times, seen)
+        chosen[seen[0, 1], seen[0, 0]] += 1
+    assert abs(chosen - 125.0).max() < 5.0 * math.sqrt(125.0)
+
+
+# Edges of shadows
+
+
+def edges(light, pixel=(0, 1, 5), open_light=(1.0, 1.0, 1.0), subpixels=(64, 64, 64)) -> list[bool]:
+    """Of three fragments in a tile of 1 x 6 pixels."""
+    edge, low, high = np.empty(3, np.bool_), np.empty((1, 6)), np.empty((1, 6))
+    find_edges(
+        np.array(pixel), (1, 6), np.array(open_light), np.array(light), np.array(subpixels), np.int64(3), low,
+        high, edge,
+    )  # fmt: skip
+    return edge.tolist()
+
+
+def test_edges_lie_between_neighbours_that_differ():
+    assert edges((1.0, 0.0, 0.0)) == [True, True, False]  # the third has no neighbour
+    assert edges((1.0, 1.0, 0.0)) == [False, False, False]
+    assert edges((1.0, 0.0, 0.0), pixel=(0, 5, 5)) == [False, False, False]
+    assert edges((1.0, 0.0, 0.0), subpixels=(64, LARGE - 1, 64)) == [True, False, False]
+    assert edges((1.0, 0.0, 0.0), open_light=(1.0, 0.0, 1.0)) == [False, False, False]  # it faces away
+
+
+def fence() -> Scene:
+    """A floor in the shadow of bars far thinner than what a pixel shows of it."""
+    bars = [
+        Mesh(
+            name="bar",
+            positions=np.array([(x, -9, 2), (x + 0.05, -9, 2), (x + 0.05, 9, 2), (x, 9, 2)], np.float32),
+            triangles=np.array([(0, 1, 2), (0, 2, 3)], np.int32),
+            materials=(principled("bar", base_color=(0.1, 0.1, 0.1), specular_ior_level=0.0),),
+        )
+        for x in np.arange(-6.0, 6.0, 0.1)
+    ]
+    floor = quad(6.0, material=principled("floor", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0))
+    return Scene(Group("root", [floor, *bars]), Camera(look((0, -7, 1.5), (0, 0, 0))), [SUN], DARK)
+
+
+def test_thin_shadows_are_met_by_more_rays_where_they_are():
+    scene, cache = fence(), Cache()
+    exact = image(scene, cache, method="distributed", samples=256)
+    ours = image(scene, cache)
+    lit = exact[:18].mean()  # rows of the floor
+    assert ours[:18].mean() == pytest.approx(lit, rel=0.03)
+    assert math.sqrt(((ours - exact)[:18] ** 2).mean()) < 0.2 * lit  # four rays a pixel would have 0.28
+    settings = RenderSettings(48, 36, method="raytrace")
+    assert render(scene, settings, cache=cache).stats["counters"]["edge_rays"] > 0
+
+
+def test_without_edges_no_more_rays_are_sent():
+    plain = replace(lit_floor(), lights=[SUN])
+    found = render(plain, RenderSettings(48, 36, method="raytrace")).stats["counters"]
+    assert found["shadow_rays"] > 0 and found.get("edge_rays", 0) == 0
+
+
+# Lobes and light samples
+
+density = lobe_pdf.py_func  # kernels call it, Python cannot
+
+
+@given(st.floats(0.02, 1.0), st.floats(0.0, 1.5), st.floats(0.0, 1.5))
+def test_a_lobes_density_is_positive_above_the_surface_alone(alpha, incoming, outgoing):
+    wi = (math.sin(incoming), 0.0, math.cos(incoming))
+    above = (math.sin(outgoing) * 0.6, math.sin(outgoing) * 0.8, math.cos(outgoing))
+    below = (above[0], above[1], -max(above[2], 1e-3))
+    assert density(alpha * alpha, (0.0, 0.0, 1.0), wi, above) > 0.0
+    assert density(alpha * alpha, (0.0, 0.0, 1.0), wi, below) == 0.0
+
+
+@pytest.mark.parametrize("alpha", [0.1, 0.3, 0.7])
+def test_a_lobes_density_integrates_to_what_it_sends_up(alpha):
+    """Seen along the normal: of the microfacets' area, those steeper than 45 degrees reflect below the horizon."""
+    n = 400
+    u, v = np.meshgrid((np.arange(n) + 0.5) / n, (np.arange(n) + 0.5) / n)
+    z, phi = u.ravel() ** 4, 2.0 * math.pi * v.ravel()  # dense towards the horizon's other end
+    z = 1.0 - z
+    r = np.sqrt(1.0 - z * z)
+    total = sum(
+        density(alpha * alpha, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (a, b, c)) * w
+        for a, b, c, w in zip(r * np.cos(phi), r * np.sin(phi), z, 4.0 * u.ravel() ** 3, strict=True)
+    )
+    total *= 2.0 * math.pi / n**2
+    assert total == pytest.approx(
+        1.0 / (1.0 + alpha * alpha), rel=0.01
+    )  # tan h < 1 of GGX: 1 / (1 + alpha^2)
+
+
+def flame(roughness: float, side: float) -> Scene:
+    """A glossy floor below a small square that shines, which it mirrors."""
+    shining = principled("flame", emission_color=(1.0, 0.5, 0.2), emission_strength=40.0 / side**2)
+    floor = quad(8.0, material=principled("floor", base_color=(0.2, 0.2, 0.2), roughness=roughness))
+    corners = [(-side, 2, 1 - side), (side, 2, 1 - side), (side, 2, 1 + side), (-side, 2, 1 + side)]
+    lamp = Mesh(
+        name="flame",
+        positions=np.array(corners, np.float32),
+        triangles=np.array([(0, 1, 2), (0, 2, 3)], np.int32),
+        materials=(shining,),
+    )
+    return Scene(Group("root", [floor, lamp]), Camera(look((0, -4, 1.2), (0, 0, 0.2))), [], DARK)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("side", [0.03, 0.4])
+def test_what_shines_is_counted_once(roughness, side):
+    """Lobes meet a lamp, and light samples find it: together they bring what each would bring alone."""
+    scene, cache = flame(roughness, side), Cache()
+    exact = np.mean([image(scene, cache, method="distributed", samples=256, seed=s) for s in range(2)], 0)
+    ours = np.mean([image(scene, cache, seed=s) for s in range(6)], 0)
+    floor = np.s_[:14]
+    assert ours[floor].mean() == pytest.approx(exact[floor].mean(), rel=0.03)
+
+
+def test_small_flames_do_not_glitter():
+    """The brightest pixel of a rough floor is hardly brighter than in the exact image."""
+    scene, cache = flame(0.5, 0.03), Cache()
+    exact = image(scene, cache, method="distributed", samples=512)[:14]
+    ours = np.stack([image(scene, cache, seed=s)[:14] for s in range(4)])
+    assert ours.max() < 2.0 * exact.max()
