@@ -101,10 +101,17 @@ def is_cold() -> bool:
     return not folder().is_dir() or next(folder().rglob(tag), None) is None
 
 
+def complete() -> bool:
+    """Whether `pointmr_engine.ahead` has compiled all for this Python (it leaves a note)."""
+    return (folder() / f"ahead.py{sys.version_info.major}{sys.version_info.minor}").exists()
+
+
 def clear() -> int:
     """Delete compiled kernels of all Python versions; the number of files deleted."""
     count = 0
     if folder().is_dir():
+        for path in folder().glob("ahead.py[0-9]*"):
+            path.unlink(missing_ok=True)
         for path in [*folder().rglob("*.nbi"), *folder().rglob("*.nbc")]:
             path.unlink(missing_ok=True)
             count += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import IntProperty, StringProperty
+from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from . import kernel_cache
 
@@ -31,6 +31,11 @@ class PointMRPreferences(bpy.types.AddonPreferences):
         max=1024,
         default=0,
     )
+    compile_ahead: BoolProperty(
+        name="Compile Ahead",
+        description="Compile what is missing in the background after Blender has started, before a render needs it",
+        default=True,
+    )
     sample_folder: StringProperty(
         name="Sample Sets",
         description="Folder for the sample sets of scenes that keep them; empty: a folder in the user's cache",
@@ -42,6 +47,7 @@ class PointMRPreferences(bpy.types.AddonPreferences):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "viewport_threads")
+        layout.prop(self, "compile_ahead")
         layout.prop(self, "sample_folder", placeholder=default_sample_folder())
         row = layout.row()
         row.label(text=f"Compiled kernels: {kernel_cache.folder()}")
@@ -52,6 +58,12 @@ def viewport_threads() -> int:
     """The preference, or its default where the add-on runs without preferences (the bpy module)."""
     found = _found()
     return found.viewport_threads if found else 0
+
+
+def compile_ahead() -> bool:
+    """Whether kernels may be compiled before a render needs them."""
+    found = _found()
+    return found.compile_ahead if found else False
 
 
 def sample_folder() -> str:

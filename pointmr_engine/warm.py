@@ -142,11 +142,11 @@ def serve() -> None:
             os._exit(0)
 
     threading.Thread(target=watch, daemon=True).start()
-    _save_beside(saving)
+    save_beside(saving)
     compile_all(json.loads(line))
 
 
-def _save_beside(saving) -> None:
+def save_beside(saving) -> None:
     """Let this process' kernels be written to files of its own.
 
     numba numbers a function's files and notes each in an index before it writes it. Two processes that compile one

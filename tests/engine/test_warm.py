@@ -95,7 +95,7 @@ sys.path.insert(0, {root!r})
 from numba.core.caching import IndexDataCacheFile
 numba_save = IndexDataCacheFile.save
 from pointmr_engine import warm
-warm._save_beside(threading.Lock())
+warm.save_beside(threading.Lock())
 first, second = (IndexDataCacheFile({folder!r}, "kernel", ("stamp", 1)) for _ in range(2))
 numba_save(first, "a", "from the renderer")
 second.save("b", "from the second process")
