@@ -9,52 +9,23 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-import OpenEXR
 import pytest
+from startup_scene import HEIGHT, WIDTH, combined, render, startup_scene
 
-import blender_addon
 from blender_addon import preferences
 from blender_addon.cli import main
 from blender_addon.viewport import Refiner, View
 from pointmr_engine.image import exr
 
-WIDTH, HEIGHT = 64, 48
 ENGINE = Path(importlib.import_module("pointmr_engine.render").__file__)
-pytestmark = pytest.mark.skipif(
-    "pointmr_engine.forward" not in ENGINE.read_text(), reason="the engine's forward mapping is not there yet"
-)
 
 
 @pytest.fixture
 def scene():
-    """Blender's start-up scene, small: a cube, a lamp, a camera."""
-    bpy.ops.wm.read_factory_settings(use_empty=False)
-    blender_addon.register()
-    scene = bpy.context.scene
-    render = scene.render
-    render.engine = "POINTMR"
-    render.resolution_x, render.resolution_y, render.resolution_percentage = WIDTH, HEIGHT, 100
-    render.film_transparent = True
-    scene.pointmr.method, scene.pointmr.samples = "FORWARD", 64
+    """A cube, a lamp, a camera."""
+    scene = startup_scene("FORWARD", 64)
     scene.pointmr.forward_samples_per_pixel = 4.0
-    settings = render.image_settings
-    if hasattr(settings, "media_type"):
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
     return scene
-
-
-def render(scene, path) -> dict[str, np.ndarray]:
-    """Render to `path` (EXR); channels by name without the layer's, top row first."""
-    scene.render.filepath = str(path)
-    bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        parts = {name: c.pixels for part in file.parts for name, c in part.channels.items()}
-    return {name.removeprefix("ViewLayer."): pixels for name, pixels in parts.items()}
-
-
-def combined(channels) -> np.ndarray:
-    return np.stack([channels[f"Combined.{c}"] for c in "RGBA"], -1)
 
 
 @pytest.mark.parametrize("sampling", ["STATIC", "DYNAMIC"])

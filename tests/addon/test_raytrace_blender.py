@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import OpenEXR
 import pytest
+from startup_scene import HEIGHT, WIDTH, combined, render, startup_scene
 
 import blender_addon
 from blender_addon import preferences
@@ -17,39 +18,13 @@ from blender_addon.job import RenderJob
 from blender_addon.viewport import Refiner, View
 from pointmr_engine.image import exr
 
-WIDTH, HEIGHT = 64, 48
-
 
 @pytest.fixture
 def scene():
-    """Blender's start-up scene, small: a cube, a lamp, a camera; and a ball of triangles smaller than a pixel."""
-    bpy.ops.wm.read_factory_settings(use_empty=False)
-    blender_addon.register()
+    """A cube, a lamp, a camera; and a ball of triangles smaller than a pixel."""
+    scene = startup_scene("RAYTRACE", 256)
     bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=0.8, location=(0, 0, 1.8))
-    scene = bpy.context.scene
-    render = scene.render
-    render.engine = "POINTMR"
-    render.resolution_x, render.resolution_y, render.resolution_percentage = WIDTH, HEIGHT, 100
-    render.film_transparent = True
-    scene.pointmr.method, scene.pointmr.samples = "RAYTRACE", 256
-    settings = render.image_settings
-    if hasattr(settings, "media_type"):
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
     return scene
-
-
-def render(scene, path) -> dict[str, np.ndarray]:
-    """Render to `path` (EXR); channels by name without the layer's, top row first."""
-    scene.render.filepath = str(path)
-    bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        parts = {name: c.pixels for part in file.parts for name, c in part.channels.items()}
-    return {name.removeprefix("ViewLayer."): pixels for name, pixels in parts.items()}
-
-
-def combined(channels) -> np.ndarray:
-    return np.stack([channels[f"Combined.{c}"] for c in "RGBA"], -1)
 
 
 def relative_mse(image, truth) -> float:
