@@ -18,10 +18,10 @@ from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, keep_lobes, restore_lobes, scatter_lobes, share_with_lobes
-from pointmr_engine.multires.shadow_edges import EdgePaths
+from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
-from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
+from pointmr_engine.raytracing.lights import LAMP, NONE, TRIANGLE, WORLD
 from pointmr_engine.raytracing.paths import SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
@@ -49,6 +49,7 @@ class ConePaths(EdgePaths):
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
+        self.small, self.asked = None, 0
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
         self.shifts = np.empty((n, 2))
@@ -85,8 +86,10 @@ class ConePaths(EdgePaths):
             alive = alive & ~weak
         self.stage = self.strong_stage
         self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
+        self.small, self.asked = self._small(n) if bounce == 0 else None, 0
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
+        self.small = None
         if len(light.lamps.shape) and lobes.count[:n].any():
             self._wide_lamps(now, n)
 
@@ -94,7 +97,15 @@ class ConePaths(EdgePaths):
         """Light samples: of the world and what shines, lobes see their part themselves (scatter.share_with_lobes)."""
         chosen = super().sample_lights(m, turn)
         chosen.mis[:] = False
-        chosen.pdf[:] *= self.stage.lights.turns.count(turn)  # what is asked several times counts once
+        times = self.stage.lights.turns.count(turn)
+        chosen.pdf[:] *= times  # what is asked several times counts once
+        if self.small is not None and turn == (WORLD, 0) and times > 1:
+            small = self.small[self.lit_rows[:m]]
+            self.asked += 1
+            if self.asked > times // 2:
+                chosen.kind[small] = NONE
+            else:
+                chosen.pdf[small] *= (times // 2) / times
         chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
         if turn in self.ratios:
             chosen.radiance[:] *= self.ratios[turn][self.lit_rows[:m], None]
@@ -124,6 +135,10 @@ class ConePaths(EdgePaths):
                 self.lit_transmissive[found], chosen.direction[found], chosen.distance[found],
             )  # fmt: skip
         return pdf
+
+    def _small(self, n: int) -> np.ndarray:
+        """(n,) bool: the fragments that weigh so little that half as many rays look for the world's light."""
+        return self.space.fragments.count[self.first : self.first + n] < LARGE
 
     def _clump_ratios(self, n: int) -> dict:
         """By light, (n,) float32: what clumps receive unhindered as distributions, against their visible points."""
