@@ -50,6 +50,7 @@ class ConePaths(EdgePaths):
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
         self.small, self.asked = None, 0
+        self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
         self.shifts = np.empty((n, 2))
@@ -115,7 +116,7 @@ class ConePaths(EdgePaths):
         glints, kind = self.stage is self.weak_stage, chosen.kind
         shared = glints or bool((kind == TRIANGLE).any())
         if shared:
-            pdf = self._emitter_pdf(m, chosen)
+            pdf = self._own_pdf(m, chosen)
             share_with_lobes(
                 self.lobes, self.view.incoming, self.lit_rows, chosen, pdf, self.light.lights.arrays.lamps.mis,
                 glints, self.integrated, np.int64(m), self.shared,
@@ -125,10 +126,10 @@ class ConePaths(EdgePaths):
             restore_lobes(self.lobes, self.lit_rows, chosen, glints, np.int64(m), self.shared)
         return count
 
-    def _emitter_pdf(self, m: int, chosen) -> np.ndarray:
-        """(m,) density with which the lights of the strong would choose what samples found: `_emission` asks them."""
+    def _own_pdf(self, m: int, chosen) -> np.ndarray:
+        """(m,) densities of samples against those of lobes: of emitters as `_emission` asks for them."""
+        pdf = np.where(chosen.kind == LAMP, chosen.pdf, 0.0)
         found = np.flatnonzero(chosen.kind == TRIANGLE)
-        pdf = np.zeros(m)
         if len(found):
             pdf[found] = self.strong_stage.lights.emitter_pdf(
                 chosen.path[found], chosen.triangle[found], self.lit_position[found], self.lit_normal[found],
@@ -137,7 +138,7 @@ class ConePaths(EdgePaths):
         return pdf
 
     def _small(self, n: int) -> np.ndarray:
-        """(n,) bool: the fragments that weigh so little that half as many rays look for the world's light."""
+        """(n,) bool: fragments that weigh too little for cones, and for more than half of the rays to the world."""
         return self.space.fragments.count[self.first : self.first + n] < LARGE
 
     def _clump_ratios(self, n: int) -> dict:
@@ -202,7 +203,7 @@ class ConePaths(EdgePaths):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated,
+            self.integrated, self._small(n) if bounce == 0 else self.none_small,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
@@ -244,10 +245,15 @@ class ConePaths(EdgePaths):
         frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
         return self.meet(tile, met, then, total, bounce) if total else 0
 
+    def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:
+        stage, self.stage = self.stage, self.weak_stage  # whose samples share lamps with what lobes see
+        super()._met_lights(now, rays, n, alive, bounce)
+        self.stage = stage
+
     def pdf_of_lamps(self, now, n: int, bounce: int) -> np.ndarray:
-        """Lamps are seen where nothing widens the view, or no sample looked for them: elsewhere they are lit by."""
-        sees = (self.lobe_alpha[:n] <= 0.0) | ((now.flags[:n] & SEES_LAMPS) != 0)
-        return np.where(sees | (bounce == 0), np.inf, 0.0)
+        """Lamps are seen where nothing widens the view, or as the part that samples leave to lobes."""
+        shared = np.where((now.flags[:n] & SEES_LAMPS) != 0, now.bsdf_pdf[:n], 0.0)
+        return np.where((self.lobe_alpha[:n] <= 0.0) | (bounce == 0), np.inf, shared)
 
     def seen_world(self, now, rays, rows: np.ndarray, bit: int):
         """The world, blurred by the lobes that see it; light samples look for it at diffuse lobes alone."""

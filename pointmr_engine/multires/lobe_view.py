@@ -38,6 +38,7 @@ class LobeCones(NamedTuple):
     # (N,) int8: 0 the whole lobe; 1 its core, whose next row is 2: what the same lobe sends beside its core
     part: np.ndarray
     weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
+    ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
 
 
 def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
@@ -50,6 +51,7 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
         np.empty((n, 3), f),
         np.zeros(n, np.int8),
         np.empty((n, 64), f),
+        np.zeros(n, np.bool_),
     )
 
 
@@ -143,11 +145,11 @@ def _weigh(lobes: LobeCones, m):
 
 @uncounted
 def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, count):
-    """Cones 0..count whose throughput is below `strong` become a ray each: one of their sub-rays, by weight."""
+    """Cones 0..count of throughput below `strong`, or not worth it, become a ray each: a sub-ray, by weight."""
     c = lobes.cones
     for m in range(count):
         t = paths.throughput[m]
-        if lobes.alpha[m] < 0 or lobes.part[m] != 0 or max(t[0], t[1], t[2]) >= strong:
+        if lobes.alpha[m] < 0 or lobes.part[m] != 0 or (max(t[0], t[1], t[2]) >= strong and not lobes.ray[m]):
             continue
         c.t_min[m] = c.t_max[m] = 0.0
         if lobes.alpha[m] <= 0.0:

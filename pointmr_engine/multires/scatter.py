@@ -43,7 +43,6 @@ CORE, REST = (
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
-GLINTS = 0.15  # roughness below which weak lobes behind the first surface see lamps themselves: samples would glitter
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
 
@@ -165,12 +164,12 @@ def _branch(chosen, weight, before, target, total, weak):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated):  # fmt: skip
+                  record, integrated, small):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
     transparency is a path without a cone of its own: the ray goes on. integrated (N, L) bool: lobes whose cones
-    find all that shines on them, without chance.
+    find all that shines on them, without chance. small (N,) bool: points that weigh too little to be worth cones.
     """
     m = np.int64(0)
     for k in range(n):
@@ -218,10 +217,10 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
-                integrated[k, j] = bounce == 0 and not chosen and _largest(r) >= STRONG
+                integrated[k, j] = bounce == 0 and not chosen and not small[k] and _largest(r) >= STRONG
                 m = _reflect(
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, wi, out, m, record, glints,
-                    integrated[k, j],
+                    integrated[k, j], small[k],
                 )  # fmt: skip
             f = _branch(chosen, _largest(g), before, target, total, weak)
             before += _largest(g)
@@ -240,7 +239,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     out,
                     m,
                     record,
-                    glints,
+                    small[k],
                 )
     return m
 
@@ -258,8 +257,8 @@ def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, i
     """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
 
     Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
-    the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, sharp lobes alone see lamps that rays can
-    meet. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, they look for lamps that rays can meet, too,
+    where they reflect (SEES_LAMPS). kept (N, L, 3): the lobes' weights, for `restore_lobes`.
     """
     for i in range(count):
         if samples.kind[i] != TRIANGLE and not (glints and samples.kind[i] == LAMP):
@@ -270,16 +269,17 @@ def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, i
             share = 1.0
             base = lobes.kind[k, j] & KIND_MASK
             if base > TRANSLUCENT:
-                rough = _roughness(lobes, k, np.int64(j))
-                if samples.kind[i] == LAMP:
-                    share = 0.0 if rough < GLINTS and mis_of_lamp[samples.index[i]] else 1.0
-                elif integrated[k, j] or base == REFRACTION:
+                lamp = samples.kind[i] == LAMP
+                normal = load3(lobes.data, k, j, NORMAL)
+                if lamp and not mis_of_lamp[samples.index[i]]:
+                    share = 1.0
+                elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
+                    share = 1.0 if lamp else 0.0
+                elif integrated[k, j] and not lamp:
                     share = 0.0
                 elif pdf[i] > 0.0:
-                    normal = load3(lobes.data, k, j, NORMAL)
+                    rough = _roughness(lobes, k, np.int64(j))
                     ratio = lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
-                    if base == GLASS and dot(normal, w) <= 0.0:
-                        ratio = math.inf
                     share = 1.0 / (1.0 + ratio * ratio)
             for c in range(3):
                 kept[i, j, c] = lobes.data[k, j, WEIGHT + c]
@@ -298,7 +298,7 @@ def restore_lobes(lobes, rows, samples, glints, count, kept):
 
 
 @device
-def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, glints, integrated):
+def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, glints, integrated, small):
     """The cone of a lobe that reflects, or the two of one that matters, with throughput w; returns the next row."""
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
@@ -309,7 +309,7 @@ def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, gl
     d = towards_normal(nm, d, rough)
     if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
         return m
-    two = singular == 0 and _largest(w) > STRONG
+    two = singular == 0 and not small and _largest(w) > STRONG
     wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
     for part in range(2 if two else 1):
@@ -317,7 +317,7 @@ def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, gl
             wide *= REST / CORE
         _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
                   RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
-        if glints and rough < GLINTS:
+        if glints and singular == 0:
             out.flags[m] |= SEES_LAMPS
         if singular == 0 and not integrated:
             out.bsdf_pdf[m] = BY_LOBE
@@ -325,6 +325,7 @@ def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, gl
         _open_cone(record.cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2])
         record.alpha[m] = 0.0 if singular else rough
         record.part[m] = part + 1 if two else 0
+        record.ray[m] = small
         for c in range(3):
             record.normal[m, c] = nm[c]
             record.incoming[m, c] = wi[c]
@@ -333,7 +334,7 @@ def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, gl
 
 
 @device
-def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, glints):
+def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, small):
     """The cone of a lobe that transmits, with throughput w; returns the next row."""
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
@@ -349,14 +350,13 @@ def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, gl
     d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
     _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
-    if glints and rough < GLINTS:
-        out.flags[m] |= SEES_LAMPS
     out.state.spread[m] = paths.state.spread[k]
     bend = abs(1.0 - inverse) * rough
     wide = 0.0 if singular else WIDE * bend
     _open_cone(record.cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
     record.alpha[m] = 0.0 if singular else bend
     record.part[m] = 0
+    record.ray[m] = small
     for c in range(3):
         record.normal[m, c] = 0
     return m + 1
