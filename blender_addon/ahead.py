@@ -19,7 +19,7 @@ _running: list[subprocess.Popen] = []
 
 def wanted() -> bool:
     """Whether somebody sits in front of Blender, has not forbidden it, and kernels are missing."""
-    return not bpy.app.background and preferences.compile_ahead() and not kernel_cache.complete()
+    return not bpy.app.background and preferences.compile_ahead() and not kernel_cache.note().exists()
 
 
 def begin() -> None:
@@ -32,7 +32,7 @@ def begin() -> None:
         command = [sys.executable, "-m", "pointmr_engine.ahead", "--with-parent"]
         _running.append(
             subprocess.Popen(
-                [*command, "--note", str(kernel_cache.folder())],
+                [*command, "--note", str(kernel_cache.note())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

@@ -101,9 +101,9 @@ def is_cold() -> bool:
     return not folder().is_dir() or next(folder().rglob(tag), None) is None
 
 
-def complete() -> bool:
-    """Whether `pointmr_engine.ahead` has compiled all for this Python (it leaves a note)."""
-    return (folder() / f"ahead.py{sys.version_info.major}{sys.version_info.minor}").exists()
+def note() -> Path:
+    """The file that `pointmr_engine.ahead` makes when it has compiled all for this Python."""
+    return folder() / f"ahead.py{sys.version_info.major}{sys.version_info.minor}"
 
 
 def clear() -> int:

@@ -104,18 +104,13 @@ def compile_methods(methods: tuple[str, ...] = METHODS) -> None:
             render(scene, RenderSettings(24, 18, method=method, samples=2, threads=1))
 
 
-def note(folder: Path) -> Path:
-    """The file in a folder for kernels that says that they were compiled ahead for this Python."""
-    return folder / f"ahead.py{sys.version_info.major}{sys.version_info.minor}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         prog="pointmr_engine.ahead",
         description="Compile the kernels of all default methods ahead of renders.",
     )
     parser.add_argument("--with-parent", action="store_true", help="end when the standard input ends")
-    parser.add_argument("--note", type=Path, help="a folder in which to say that it is done")
+    parser.add_argument("--note", type=Path, help="a file to make when it is done")
     args = parser.parse_args()
     saving = threading.Lock()
     if args.with_parent:
@@ -131,7 +126,7 @@ def main() -> None:
     save_beside(saving)
     compile_methods()
     if args.note:
-        note(args.note).touch()
+        args.note.touch()
 
 
 if __name__ == "__main__":

@@ -90,18 +90,15 @@ def move_to_opaque(cut_outs, fragments, first, count):
         i, j = min(np.int64(u), side - 1), min(np.int64(v), side - 1)
         if cut_outs.opacity[mask, j, i] >= OPAQUE:
             continue
-        most = np.int64(0)
+        most, best, bi, bj = np.int64(-1), math.inf, i, j
         for q in range(side):
             for p in range(side - q):
-                most = max(most, np.int64(cut_outs.opacity[mask, q, p]))
-        best, bi, bj = math.inf, i, j
-        for q in range(side):
-            for p in range(side - q):
-                if cut_outs.opacity[mask, q, p] >= min(most, OPAQUE):
+                opacity = min(np.int64(cut_outs.opacity[mask, q, p]), OPAQUE)
+                if opacity >= most:
                     dx, dy = p + 1.0 / 3.0 - u, q + 1.0 / 3.0 - v
                     d = dx * dx + dy * dy
-                    if d < best:
-                        best, bi, bj = d, p, q
+                    if opacity > most or d < best:
+                        most, best, bi, bj = opacity, d, p, q
         if best < math.inf:
             fragments.place[k, 0] = (bi + 1.0 / 3.0) / side
             fragments.place[k, 1] = (bj + 1.0 / 3.0) / side

@@ -51,7 +51,7 @@ class Sampler:
         self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
         self.ambient = self.world_light.mean
-        self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_paths.ConeLight)
+        self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_light.ConeLight)
         self.sets: dict[tuple, SampleSets] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()

@@ -75,6 +75,7 @@ class ConePaths(EdgePaths):
         """Nothing: what is weak is left to chance where it is scattered."""
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
+        self.small, self.asked = self._small(n) if bounce == 0 else None, 0
         self._scatter(now, n, alive, bounce)
         lobes, light = self.lobes, self.light
         lobes.count[:n][~alive] = 0
@@ -87,7 +88,6 @@ class ConePaths(EdgePaths):
             alive = alive & ~weak
         self.stage = self.strong_stage
         self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
-        self.small, self.asked = self._small(n) if bounce == 0 else None, 0
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
         self.small = None
@@ -203,7 +203,7 @@ class ConePaths(EdgePaths):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self._small(n) if bounce == 0 else self.none_small,
+            self.integrated, self.none_small if self.small is None else self.small,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:

@@ -252,6 +252,12 @@ def _roughness(lobes, k, j):
     return math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
 
 
+@device
+def _is_shared(samples, i, glints):
+    """Whether lobes look for what light sample i found."""
+    return samples.kind[i] == TRIANGLE or (glints and samples.kind[i] == LAMP)
+
+
 @uncounted
 def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, integrated, count, kept):
     """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
@@ -261,7 +267,7 @@ def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, i
     where they reflect (SEES_LAMPS). kept (N, L, 3): the lobes' weights, for `restore_lobes`.
     """
     for i in range(count):
-        if samples.kind[i] != TRIANGLE and not (glints and samples.kind[i] == LAMP):
+        if not _is_shared(samples, i, glints):
             continue
         k = np.int64(rows[i])
         w, wi = row3(samples.direction, i), row3(incoming, k)
@@ -290,7 +296,7 @@ def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, i
 def restore_lobes(lobes, rows, samples, glints, count, kept):
     """Undo `share_with_lobes`."""
     for i in range(count):
-        if samples.kind[i] == TRIANGLE or (glints and samples.kind[i] == LAMP):
+        if _is_shared(samples, i, glints):
             k = np.int64(rows[i])
             for j in range(np.int64(lobes.count[k])):
                 for c in range(3):

@@ -82,7 +82,8 @@ class EdgePaths(FragmentPaths):
 
     def connect(self, now, m: int, chosen) -> int:
         count = super().connect(now, m, chosen)
-        self.open_light[self.shadows.source[:count]] = self.shadows.light[:count].sum(1)
+        if self.alive is not None:
+            self.open_light[self.shadows.source[:count]] = self.shadows.light[:count].sum(1)
         return count
 
     def _look_at_light(self, now, m: int, turn) -> None:
@@ -108,25 +109,28 @@ class EdgePaths(FragmentPaths):
         u = self.lit_u[:m].copy()
         self.part = 1.0 / (1 + LOOKS)  # the middle is one of the points
         radiance[rows] = before[rows] + self.part * (radiance[rows] - before[rows])
-        kept = [a[rows].copy() for a in (*self.hits, self.frames.position, self.frames.offset)]
+        kept = [a[rows] for a in _where(self.hits, self.frames)]
         for look in range(LOOKS):
-            self._stand_elsewhere(now, rows, look, kept)
+            self._stand(rows, kept)
+            self._stand_elsewhere(now, rows, look)
             some = self.choose_points(now, n, edge, 0)
             self.lit_u[:some] += (look + 1) * NEXT_LOOK
             self.lit_u[:some] -= np.floor(self.lit_u[:some])
             super()._look_at_light(now, some, turn)
-        for target, values in zip((*self.hits, self.frames.position, self.frames.offset), kept, strict=True):
-            target[rows] = values
+        self._stand(rows, kept)
         self.part = 1.0
         self.choose_points(now, n, self.alive, 0)  # for the turns to come
         self.lit_u[:m] = u
 
-    def _stand_elsewhere(self, now, rows: np.ndarray, look: int, kept: list) -> None:
+    def _stand(self, rows: np.ndarray, places) -> None:
+        """Put the fragments `rows` where `places` are, as `_where` has them."""
+        for target, values in zip(_where(self.hits, self.frames), places, strict=True):
+            target[rows] = values
+
+    def _stand_elsewhere(self, now, rows: np.ndarray, look: int) -> None:
         """Put the fragments `rows` on other points of their surfaces, where there are any."""
         space, stage, image = self.space, self.stage, self.space.image
         hits, frame = self.hits, self.frames
-        for target, values in zip((*hits, frame.position, frame.offset), kept, strict=True):
-            target[rows] = values
         rays, met, found = allocate_rays(len(rows)), allocate_hits(len(rows)), allocate_frames(len(rows))
         look_around(
             image.view, np.int64(space.left), np.int64(space.low), image.camera.world_from_camera, space.fragments,
@@ -140,8 +144,9 @@ class EdgePaths(FragmentPaths):
         alike = np.empty(len(rows), np.bool_)
         width = now.state.spread[: self.count] * hits.t[: self.count] + now.state.width[: self.count]
         same_surface(frame, rows, found, met, width, alike)
-        at = rows[alike]
-        for target, values in zip(
-            (*hits, frame.position, frame.offset), (*met, found.position, found.offset), strict=True
-        ):
-            target[at] = values[alike]
+        self._stand(rows[alike], [a[alike] for a in _where(met, found)])
+
+
+def _where(hits, frame) -> tuple:
+    """The arrays that say where shadow rays begin."""
+    return *hits, frame.position, frame.offset

@@ -37,13 +37,12 @@ def test_the_process_ends_when_it_is_told(monkeypatch, own_cache):
 
 
 def test_a_note_says_that_all_is_there_until_it_is_cleared(own_cache):
-    assert not kernel_cache.complete()
-    from pointmr_engine.ahead import note
-
-    note(own_cache).touch()
-    assert kernel_cache.complete()
+    note = kernel_cache.note()
+    assert note.parent == own_cache and not note.exists()
+    note.touch()
+    assert note.exists()
     kernel_cache.clear()
-    assert not kernel_cache.complete()
+    assert not note.exists()
 
 
 LATER = """
@@ -67,7 +66,7 @@ print(len(compiled), *compiled)
 @pytest.mark.slow
 def test_other_scenes_compile_next_to_nothing_later(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "pointmr_engine.ahead", "--note", str(tmp_path)]
+    command = [sys.executable, "-m", "pointmr_engine.ahead", "--note", str(tmp_path / "ahead.py3")]
     subprocess.run(command, env=environment, check=True)
     assert list(tmp_path.glob("ahead.py*"))
     code = LATER.format(path=[str(ROOT)])

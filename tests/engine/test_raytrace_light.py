@@ -40,6 +40,12 @@ def image(scene, cache=None, size=(48, 36), cones=1, **settings) -> np.ndarray:
     return render(scene, chosen, cache=cache).passes["combined"][..., :3].astype(float)
 
 
+def card(name: str, corners, material) -> Mesh:
+    """Two triangles between four corners."""
+    triangles = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
+    return Mesh(name, np.array(corners, np.float32), triangles, materials=(material,))
+
+
 # Clumps
 
 
@@ -108,13 +114,9 @@ def test_edges_lie_between_neighbours_that_differ():
 
 def fence() -> Scene:
     """A floor in the shadow of bars far thinner than what a pixel shows of it."""
+    dark = principled("bar", base_color=(0.1, 0.1, 0.1), specular_ior_level=0.0)
     bars = [
-        Mesh(
-            name="bar",
-            positions=np.array([(x, -9, 2), (x + 0.05, -9, 2), (x + 0.05, 9, 2), (x, 9, 2)], np.float32),
-            triangles=np.array([(0, 1, 2), (0, 2, 3)], np.int32),
-            materials=(principled("bar", base_color=(0.1, 0.1, 0.1), specular_ior_level=0.0),),
-        )
+        card("bar", [(x, -9, 2), (x + 0.05, -9, 2), (x + 0.05, 9, 2), (x, 9, 2)], dark)
         for x in np.arange(-6.0, 6.0, 0.1)
     ]
     floor = quad(6.0, material=principled("floor", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0))
@@ -175,12 +177,7 @@ def flame(roughness: float, side: float) -> Scene:
     shining = principled("flame", emission_color=(1.0, 0.5, 0.2), emission_strength=40.0 / side**2)
     floor = quad(8.0, material=principled("floor", base_color=(0.2, 0.2, 0.2), roughness=roughness))
     corners = [(-side, 2, 1 - side), (side, 2, 1 - side), (side, 2, 1 + side), (-side, 2, 1 + side)]
-    lamp = Mesh(
-        name="flame",
-        positions=np.array(corners, np.float32),
-        triangles=np.array([(0, 1, 2), (0, 2, 3)], np.int32),
-        materials=(shining,),
-    )
+    lamp = card("flame", corners, shining)
     return Scene(Group("root", [floor, lamp]), Camera(look((0, -4, 1.2), (0, 0, 0.2))), [], DARK)
 
 
