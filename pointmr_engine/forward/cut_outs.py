@@ -1,21 +1,22 @@
 """Triangles with holes: how opaque their materials are, sampled once over each triangle and tested at every subpixel.
 
 So a leaf on a card hides, and throws the shadow of, its own shape, however many lie behind each other. What is half
-transparent is drawn at a share of its subpixels (ordered dither). Triangles that look the same - equal texture
-coordinates under one material - share their samples.
+transparent is drawn at a share of its subpixels (ordered dither). Triangles that look the same share their samples
+(`opacity_classes`).
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from pointmr_engine.forward.cut_out_cover import cover_cut_out, cut_out_of  # noqa: F401
 from pointmr_engine.forward.draw import draw_triangle, to_target
+from pointmr_engine.forward.opacity_classes import lattice, opacity_classes
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.hierarchy.layers import uv_layer
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.surface import points_at
 
@@ -38,10 +39,12 @@ def no_cut_outs(parts: int) -> CutOuts:
     return CutOuts(np.full(parts, -1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2, 2), np.uint8))
 
 
-def build_cut_outs(geometry: Geometry, programs: list) -> CutOuts:
-    """The cut-outs of all parts whose materials let light through."""
+def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts]:
+    """The cut-outs of all parts whose materials let light through: by their mean opacity, and by that of the channel
+    that they block most, for methods whose rays pass what goes through the others (`keep_coloured`).
+    """
     first = np.full(len(geometry.parts), -1, np.int64)
-    masks, keys, sources = [], [], []
+    masks, sources = [], []
     total = known = 0
     for part, mesh in enumerate(geometry.parts):
         n = len(mesh.triangles)
@@ -59,55 +62,42 @@ def build_cut_outs(geometry: Geometry, programs: list) -> CutOuts:
             if programs[m].opaque:
                 continue
             rows = np.flatnonzero(material == m)
-            which, inverse = _different(mesh, programs[m].transparency_needs, rows)
+            opacity_of = partial(_opacity, geometry, programs[m], part)
+            which, inverse = opacity_classes(geometry, part, programs[m].transparency_needs, rows, opacity_of)
             mask[rows] = known + inverse
             known += len(which)
-            keys.append((part, int(m)))
-            sources.append(rows[which])
+            sources.append((opacity_of, rows[which]))
         first[part] = total
         masks.append(mask)
         total += n
     side = int(np.clip(math.sqrt(SAMPLES / max(known, 1)), 2, FINEST))
-    opacity = np.empty((known, side, side), np.uint8)
+    opacity = np.empty((2, known, side, side), np.uint8)
     at = 0
-    for (part, m), triangles in zip(keys, sources, strict=True):
+    for opacity_of, triangles in sources:
         step = max(1, _CHUNK // (side * side))
         for start in range(0, len(triangles), step):
             chosen = triangles[start : start + step]
-            opacity[at : at + len(chosen)] = _sampled(geometry, programs[m], part, chosen, side)
+            u, v = lattice(side, len(chosen))
+            found = opacity_of(np.repeat(chosen, side * side), u.ravel(), v.ravel())
+            found = np.round(found * 255.0).astype(np.uint8).reshape(len(chosen), side, side, 2)
+            opacity[:, at : at + len(chosen)] = np.moveaxis(found, -1, 0)
             at += len(chosen)
-    return CutOuts(first, np.concatenate(masks) if masks else np.zeros(0, np.int32), opacity)
+    mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
+    return CutOuts(first, mask, opacity[0]), CutOuts(first, mask, opacity[1])
 
 
-def _different(mesh, needs: frozenset, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(places in `rows` of triangles that differ, for each row its one of these), by what a material reads."""
-    layers = {need.partition(":")[2] for need in needs if need.partition(":")[0] in ("uv", "uv_footprint")}
-    if any(need.partition(":")[0] not in ("uv", "uv_footprint", "footprint") for need in needs):
-        return np.arange(len(rows)), np.arange(len(rows))
-    columns = [np.zeros((len(rows), 1), np.float32)]
-    for name in sorted(layers):
-        uv = uv_layer(mesh, name)
-        if uv is not None:
-            columns.append(np.asarray(uv, np.float32)[rows].reshape(len(rows), 6))
-    _, which, inverse = np.unique(np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True)
-    return which, inverse.ravel()
-
-
-def _sampled(geometry: Geometry, program, part: int, triangles: np.ndarray, side: int) -> np.ndarray:
-    """(n, side, side) uint8 opacity of triangles of a part."""
+def _opacity(
+    geometry: Geometry, program, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
+    """(n, 2) opacity of points of a part's triangles, 0..1: mean, and of the channel that is blocked most."""
     n = len(triangles)
-    v, u = np.meshgrid((np.arange(side) + 1 / 3) / side, (np.arange(side) + 1 / 3) / side, indexing="ij")
-    outside = u + v > 1.0
-    u, v = np.where(outside, 1.0 - u, u), np.where(outside, 1.0 - v, v)
-    u, v = np.tile(u.ravel(), n).astype(np.float32), np.tile(v.ravel(), n).astype(np.float32)
-    scene_wide = geometry.tables.first_triangle[part] + np.repeat(triangles, side * side).astype(np.int32)
-    count = len(u)
     points = points_at(
-        geometry, np.full(count, part, np.int32), scene_wide, u, v, np.broadcast_to(np.eye(4)[:3], (count, 3, 4)),
+        geometry, np.full(n, part, np.int32), (geometry.tables.first_triangle[part] + triangles).astype(np.int32),
+        u.astype(np.float32), v.astype(np.float32), np.broadcast_to(np.eye(4)[:3], (n, 3, 4)),
         program.transparency_needs,
     )  # fmt: skip
-    clear = np.clip(program.transparency(points).mean(1), 0.0, 1.0)
-    return np.round((1.0 - clear) * 255.0).astype(np.uint8).reshape(n, side, side)
+    clear = np.clip(program.transparency(points), 0.0, 1.0)
+    return 1.0 - np.stack((clear.mean(1), clear.min(1)), 1)
 
 
 @device

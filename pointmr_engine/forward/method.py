@@ -46,7 +46,7 @@ class Sampler:
         self.baker = Baker(geometry, programs)
         self.looks = self.baker.constant_looks()
         self.environment = Environment(scene.world)
-        self.cut_outs = build_cut_outs(geometry, programs)
+        self.cut_outs, self.densest_cut_outs = build_cut_outs(geometry, programs)
         self.emissive_lamps = emissive_lamps(geometry, programs)
         self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
@@ -105,6 +105,7 @@ class Image:
         )
         self.spacing = self.subpixels / options.samples_per_pixel**0.5
         self.sets = sampler.sets_of(options)
+        self.cut_outs = self.choose_cut_outs()
         self.sigma = scattered.sigma(options.samples_per_pixel)
         kind = "box" if options.reconstruction == "pixel" else settings.pixel_filter
         self.taps = filter_taps(kind, settings.filter_width, self.subpixels)
@@ -170,6 +171,10 @@ class Image:
             self.drawn, self.space_of = DrawnPoints(self), PointSpace
             self.drawn.draw(tell)
 
+    def choose_cut_outs(self):
+        """The opacity that triangles with holes are drawn by."""
+        return self.sampler.cut_outs
+
     def space(self) -> Workspace:
         """A thread's buffers for tiles."""
         return self.space_of(self)
@@ -192,7 +197,7 @@ class Image:
             self.sampler.corners,
             geometry.tables,
             geometry.instances,
-            self.sampler.cut_outs,
+            self.cut_outs,
         )
 
 

@@ -28,6 +28,7 @@ from pointmr_engine.shading.bsdf.layout import WEIGHT
 
 BATCH = 4096  # fragments at once
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
+TINGE = 0.02  # of light in a channel: what coloured transparency lets through, below which it is not followed
 VEILS = 8  # transparent surfaces that a look at a clump passes at most
 
 
@@ -64,24 +65,33 @@ def start_rays(rays, hits, frame, count):
 
 
 @uncounted
-def close_transparency(lobes, throughput, count):
-    """Take the transparency of points 0..count out: areas and cut-outs account for it.
+def close_transparency(lobes, throughput, coloured, count):
+    """Take the transparency of points 0..count out, as far as coverage accounts for it, and scale up what is left.
 
-    What is left is scaled to an opaque surface's, and no more: lobes that add up to one are not scaled, whatever passes
-    besides.
+    coloured (N,) bool: covered by what the densest channel blocks; what the others let through besides stays. Elsewhere
+    coverage is by mean opacity, and nothing stays. Lobes are scaled to an opaque surface's and no more: those that add
+    up to one are not, whatever passes besides.
     """
     for k in range(count):
-        t, most = 0.0, 0.0
+        mean, least, most = 0.0, 1.0, 0.0
         for c in range(3):
-            t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
-            lobes.transparency[k, c] = 0.0
+            clear = min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0)
+            mean += clear / 3.0
+            least = min(least, clear)
             weight = 0.0
             for j in range(np.int64(lobes.count[k])):
                 weight += lobes.data[k, j, WEIGHT + c]
             most = max(most, weight)
-        scale = min(1.0 / (1.0 - min(t, 0.999)), 1.0 / max(most, 0.001))
+        taken = min(least if coloured[k] else mean, 0.999)
+        scale = max(min(1.0 / (1.0 - taken), 1.0 / max(most, 0.001)), 1.0)
         for c in range(3):
-            throughput[k, c] *= max(scale, 1.0)
+            left = 0.0
+            if coloured[k]:
+                # what the lobes' scale takes is given back to what passes
+                clear = np.float64(lobes.transparency[k, c])
+                left = min(max(clear - taken, 0.0) / (1.0 - taken), max(clear, 1.0)) / scale
+            lobes.transparency[k, c] = left if left > TINGE else 0.0
+            throughput[k, c] *= scale
 
 
 @uncounted
@@ -99,6 +109,7 @@ class FragmentPaths(Workspace):
         super().__init__(stage, n)
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.pixel = np.empty(n, np.int64)
+        self.coloured = np.zeros(n, np.bool_)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
         none = np.zeros((0, 3))
         self.tile = TileSums(
@@ -146,6 +157,8 @@ class FragmentPaths(Workspace):
             target[clump] = normals[clump]
         self.spread[clump] = 0.0
         triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
+        self.coloured[:count] = False
+        self.coloured[triangles] = image.coloured
         tables = self.stage.shader.geometry.tables
         spread_of_curvature(tables, hits, now.state.width, triangles, np.int64(len(triangles)), self.spread)
         self._look_at_clumps(space, now, first)
@@ -221,4 +234,4 @@ class FragmentPaths(Workspace):
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
-            close_transparency(self.lobes, now.throughput, np.int64(n))
+            close_transparency(self.lobes, now.throughput, self.coloured, np.int64(n))

@@ -15,6 +15,7 @@ from pointmr_engine.multires.cones import Cones
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
+from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 
 STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
     -1.0,
@@ -252,6 +253,7 @@ def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, r
         if lobes.alpha[k] < 0 and m < room:
             copy_path(paths, np.int64(k), 1.0, out, m)
             copy_ray(paths.rays, np.int64(k), out.rays, m)
-            alpha[m] = _NEARLY_SHARP if lobes.alpha[k] == WITHIN_LOBE else 0.0
+            sharp = np.int64(paths.state.kind[k]) & (RAY_CAMERA | RAY_SINGULAR) != 0
+            alpha[m] = 0.0 if sharp and lobes.alpha[k] != WITHIN_LOBE else _NEARLY_SHARP
             m += 1
     return count, escapes, m - count - escapes

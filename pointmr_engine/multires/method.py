@@ -60,6 +60,11 @@ class TracedImage(Image):
     def choose_shading(self):
         return TracedShading(self)
 
+    def choose_cut_outs(self):
+        """Colours pass by rays, but where the film wants one opacity of all."""
+        self.coloured = not self.settings.film_transparent
+        return self.sampler.densest_cut_outs if self.coloured else super().choose_cut_outs()
+
     @property
     def fits(self) -> tuple:
         return *super().fits, self.space_of.__name__, self.tile, len(self.views)
