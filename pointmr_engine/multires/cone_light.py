@@ -47,6 +47,7 @@ class ConeLight:
             self.rays = lights.asked(turns)
         else:
             wide, self.rays = [], lights.taken(MANY_RAYS)
+        self.shares_world = (WORLD, 0) in self.rays.turns
         of = arrays.lamps.source
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
         # one by one, those that take cones before those that take rays: for clumps

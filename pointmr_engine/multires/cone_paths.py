@@ -11,7 +11,7 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals
 from pointmr_engine.forward.world_light import world_lobe
-from pointmr_engine.multires.clumps import ratios, restore_normals, swap_normals
+from pointmr_engine.multires.clumps import FLATNESS, ratios, restore_normals, swap_normals
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
@@ -19,6 +19,14 @@ from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_sh
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, keep_lobes, restore_lobes, scatter_lobes, share_with_lobes
 from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
+from pointmr_engine.multires.world_sharing import (
+    REACH,
+    allocate_shares,
+    begin_shares,
+    count_rays,
+    share_light,
+    take_light,
+)
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.lights import LAMP, NONE, TRIANGLE, WORLD
@@ -30,6 +38,7 @@ from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 _WEIGHTS = cell_weights()
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 MOST = 3  # fragments of a cone
+WHOLE = 12  # subpixels from which a fragment's surface is taken to go on beside it, so that light is shared
 NO_SHADOWS = np.zeros((0, 0), np.float32)
 
 
@@ -50,6 +59,8 @@ class ConePaths(EdgePaths):
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
         self.small, self.asked = None, 0
+        self.shares, self.counts_rays = None, False
+        self.heads, self.after = np.empty((0, 0), np.int32), np.empty(0, np.int32)
         self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
@@ -63,6 +74,12 @@ class ConePaths(EdgePaths):
         self.masks = np.empty(n, np.uint64)
         self.lobe_alpha = np.zeros(n, np.float32)
         self.going = 0
+
+    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
+        n = len(space.fragments.entry) if self.light.shares_world else 0
+        if n != len(self.after):
+            self.shares, self.after = allocate_shares(n) if n else None, np.empty(n, np.int32)
+        super().trace(space, hierarchy, values, first, count)
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:
@@ -88,11 +105,51 @@ class ConePaths(EdgePaths):
             alive = alive & ~weak
         self.stage = self.strong_stage
         self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
+        if bounce == 0 and self.shares is not None:
+            begin_shares(
+                lobes, now.throughput, self.frames.position, self.flat, np.float32(FLATNESS), np.int64(self.first),
+                np.int64(n), self.shares,
+            )  # fmt: skip
+            rows = slice(self.first, self.first + n)
+            whole = self.space.fragments.count[rows] >= WHOLE
+            self.fewer = self.small | (whole & (self.shares.albedo[rows].max(1) > 0.0))
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
         self.small = None
         if len(light.lamps.shape) and lobes.count[:n].any():
             self._wide_lamps(now, n)
+
+    def _look_at_light(self, now, m: int, turn) -> None:
+        if self.small is None or self.shares is None or turn != (WORLD, 0):
+            super()._look_at_light(now, m, turn)
+            return
+        first, n, radiance = np.int64(self.first), self.count, self.samples.radiance
+        before = radiance[:n].copy()
+        self.counts_rays = True
+        super()._look_at_light(now, m, turn)
+        self.counts_rays = False
+        take_light(radiance, before, first, np.int64(n), self.shares)
+
+    def settle(self, count: int) -> int:
+        if self.counts_rays:
+            met = self.shadow_hits
+            count_rays(
+                self.shadows.source, met.triangle, met.t, np.int64(count), np.int64(self.first), self.shares
+            )
+            self.counts_rays = False  # those that pass a surface have been counted
+        return super().settle(count)
+
+    def finish_tile(self, space, count: int) -> None:
+        """Add what the fragments 0..count of a tile receive of the world together to space.light."""
+        if self.shares is None:
+            return
+        f, image, shape = space.fragments, space.image, space.used.shape
+        if self.heads.shape != shape:
+            self.heads = np.empty(shape, np.int32)
+        share_light(
+            f.x, f.y, np.int64(image.subpixels), REACH, self.shares, np.int64(count),
+            self.heads, self.after, space.light,
+        )  # fmt: skip
 
     def sample_lights(self, m: int, turn=None):
         """Light samples: of the world and what shines, lobes see their part themselves (scatter.share_with_lobes)."""
@@ -101,7 +158,7 @@ class ConePaths(EdgePaths):
         times = self.stage.lights.turns.count(turn)
         chosen.pdf[:] *= times  # what is asked several times counts once
         if self.small is not None and turn == (WORLD, 0) and times > 1:
-            small = self.small[self.lit_rows[:m]]
+            small = self.fewer[self.lit_rows[:m]]
             self.asked += 1
             if self.asked > times // 2:
                 chosen.kind[small] = NONE

@@ -176,6 +176,9 @@ class FragmentPaths(Workspace):
             n = self._bounce(self.tile, now, then, n, bounce)
         np.copyto(space.light[first : first + count], samples.radiance[:count], casting="same_kind")
 
+    def finish_tile(self, space, count: int) -> None:
+        """All fragments 0..count of a tile are traced: a place for methods that let them share light."""
+
     def _look_at_clumps(self, space, now, first: int) -> None:
         """Represent clumps by what the camera sees of them: the first surface behind a subpixel that shows each.
 

@@ -120,6 +120,7 @@ class LensShading(TracedShading):
                 f.position[start:stop, :2] += shift
                 matrix[rows, 3:8:4] += shift
         space.image = image
+        paths.finish_tile(space, count)
 
 
 def split_lens(image) -> None:

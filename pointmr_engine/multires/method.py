@@ -18,6 +18,7 @@ from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.merge import choose_seen, merge_fragments
+from pointmr_engine.multires.world_sharing import REACH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -47,6 +48,11 @@ class TracedImage(Image):
         self.stage = stage
         self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
         super().__init__(sampler, scene, stage.camera, primary_settings(settings))
+        if self.light is not None and self.light.shares_world:
+            # what pixels at the tile's edge share must be there, too: taps of no weight
+            beside = math.ceil(REACH / self.subpixels)
+            self.taps = np.pad(self.taps, beside * self.subpixels)
+            self.apron += beside
         side = math.isqrt(settings.raytrace.cones)
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
@@ -89,6 +95,7 @@ class TracedShading:
         space.used[:] = 0
         for first in range(0, count, BATCH):
             paths.trace(space, hierarchy, values, first, min(BATCH, count - first))
+        paths.finish_tile(space, count)
 
     def paths(self, space: TracedTiles) -> FragmentPaths:
         """The thread's paths, made when it first shades."""

@@ -207,7 +207,7 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
                         w, part, px, py, pz, qx, qy, qz, t_min, limits, skip, any_hit, scratch, sp
                     )
                     if triangle == BLOCKED:
-                        best = triangle
+                        best, best_t = triangle, t
                         break
                     if triangle >= 0 and t < best_t:
                         best, best_t, best_part, best_length = triangle, t, part, below
@@ -233,8 +233,9 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
                 path = levels.path[level]
                 entering = True
         hits.triangle[n] = best
-        if best >= 0:
+        if best != MISS:
             hits.t[n] = best_t
+        if best >= 0:
             hits.part[n] = best_part
             hits.u[n] = best_u
             hits.v[n] = best_v
@@ -277,7 +278,7 @@ def intersect(
 def shadow(
     acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0, stop: int | None = None
 ) -> None:
-    """Shadow rays: hits.triangle is BLOCKED (-2) where any opaque triangle lies in between (other fields undefined).
+    """Shadow rays: hits.triangle is BLOCKED (-2) where any opaque triangle lies in between, at about hits.t.
 
     Otherwise the closest hit on a triangle whose material may be transparent (see acceleration.set_opaque), or -1.
     """

@@ -78,7 +78,7 @@ def is_opaque(w, part, triangle):
 def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scratch, sp):
     """Closest hit of a ray in the part's own space, nearer than t_max: (triangle or -1, t, u, v).
 
-    `skip` is a triangle that is not hit. With any_hit, (BLOCKED, ...) as soon as an opaque triangle is met before
+    `skip` is a triangle that is not hit. With any_hit, (BLOCKED, t, ...) as soon as an opaque triangle is met before
     t_max[0]; else the closest of the others before t_max[1]. Without, t_max[0] = t_max[1]. The stack is free from sp.
     """
     node = load_i32(w.part_root, part)
@@ -130,7 +130,7 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
                         continue
                 if any_hit:
                     if is_opaque(w, part, triangle):
-                        return np.int64(BLOCKED), 0.0, u, v
+                        return np.int64(BLOCKED), (np.float64(t) + shift) / length, u, v
                     if t >= best_t:
                         continue
                     best_t = t
