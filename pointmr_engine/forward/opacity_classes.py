@@ -15,7 +15,7 @@ import numpy as np
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.raytracing.surface import points_at
 
-LOOKS = 8  # points of a triangle that are compared with its leader's
+LOOKS = 16  # points of a triangle that are compared with its leader's
 SIDE = 32  # samples along the edges of leaders while they are compared
 TOLERANCE = 0.12  # of opacity
 LEADERS = 16  # at most, of triangles that vary alike

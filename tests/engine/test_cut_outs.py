@@ -1,0 +1,113 @@
+"""Triangles with holes: who shares samples of opacity, and what passes them in colour."""
+
+import numpy as np
+import pytest
+
+from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, render, uniform_world
+from pointmr_engine.forward.cut_outs import build_cut_outs
+from pointmr_engine.hierarchy.geometry import compile_geometry
+from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.mesh import Attribute
+from pointmr_engine.scene.settings import RaytraceSettings
+from pointmr_engine.scene.texture import Image
+from pointmr_engine.shading.program import compile_graph
+from tests.engine.small_scenes import from_above, quad
+
+BLACK = uniform_world((0.0, 0.0, 0.0))
+
+
+def leaf(coloured: bool = False) -> Material:
+    """A leaf with two thin lobes on a card; the attribute "tint" is its colour, and that of what may pass it."""
+    n = 128
+    x, y = np.meshgrid((np.arange(n) + 0.5) / n - 0.5, (np.arange(n) + 0.5) / n - 0.5)
+    picture = np.ones((n, n, 4), np.float32)
+    picture[..., 3] = (np.abs(x - y) < 0.06) | (np.abs(x + y) < 0.06)
+    nodes = {
+        "image": Node(
+            "image_texture", {"vector": Link("place", "vector")}, {"image": Image("leaf", picture, "Linear")}
+        ),
+        "place": Node("attribute", {}, {"name": "place"}),
+        "tint": Node("attribute", {}, {"name": "tint"}),
+        "bsdf": Node("principled", {
+            "base_color": Link("tint", "color"), "alpha": Link("image", "alpha"), "specular_ior_level": 0.0,
+        }),
+        "clear": Node("transparent", {"color": Link("tint", "color") if coloured else (0.0, 0.0, 0.0)}),
+        "both": Node("add_shader", {"shader": Link("bsdf", "bsdf"), "shader_b": Link("clear", "bsdf")}),
+    }  # fmt: skip
+    return Material("leaf", Graph(nodes, surface=Link("both", "shader")))
+
+
+def leaves(count: int, material: Material, sizes=(1.0,)) -> Mesh:
+    """Cards side by side, of the same place in the image but for `sizes` in turn, and of other tints each."""
+    cards = [quad(1.0) for _ in range(count)]
+    rng = np.random.default_rng(1)
+    place, tint = [], []
+    for k, card in enumerate(cards):
+        place.append((card.positions[card.triangles][..., :2] * sizes[k % len(sizes)] + 0.5).reshape(-1, 2))
+        tint.append(np.tile(rng.uniform(0.2, 0.6, 3), (6, 1)))
+        card.positions[:, 0] += k - 0.5 * (count - 1)
+    values = {
+        name: Attribute(np.concatenate(a).astype(np.float32))
+        for name, a in (("place", place), ("tint", tint))
+    }
+    return Mesh(
+        "leaves", np.concatenate([c.positions for c in cards]),
+        np.concatenate([c.triangles + 4 * k for k, c in enumerate(cards)]).astype(np.int32), materials=(material,),
+        attributes=values,
+    )  # fmt: skip
+
+
+def cut_outs(mesh: Mesh):
+    scene = Scene(Group("root", [mesh]), from_above(9.0), [], BLACK)
+    geometry = compile_geometry(scene)
+    return build_cut_outs(geometry, [compile_graph(m.graph) for m in geometry.materials])
+
+
+def test_leaves_of_other_colours_share_their_shape():
+    mean, _ = cut_outs(leaves(60, leaf()))
+    assert len(mean.mask) == 120
+    assert len(np.unique(mean.mask)) == len(mean.opacity) == 2
+
+
+def test_leaves_of_other_shapes_do_not():
+    mean, _ = cut_outs(leaves(60, leaf(), sizes=(1.0, 0.5)))
+    assert len(mean.opacity) == 4
+    large, small = (mean.opacity[mean.mask[2 * k : 2 * k + 2]].mean() for k in (0, 1))
+    assert small > 1.3 * large  # the card shows the middle of the image, where the lobes meet
+
+
+def test_what_passes_in_colour_is_a_leaf_s_own():
+    """Tints decide how opaque a channel is: leaves share with those alike, and the mean stays what it is."""
+    material = leaf(coloured=True)
+    mesh = leaves(200, material)
+    mean, densest = cut_outs(mesh)
+    assert 2 < len(mean.opacity) < 100
+    tint = mesh.attributes["tint"].values.reshape(200, 6, 3)[:, 0]
+    for found, true in ((mean, tint.mean(1)), (densest, tint.min(1))):
+        inside = np.array([found.opacity[found.mask[2 * k]].max() / 255.0 for k in range(200)])
+        assert (
+            np.quantile(np.abs(inside - (1.0 - true)), 0.95) < 0.15
+        )  # some of a leaf's few looks all miss it
+
+
+def stained() -> Scene:
+    """Panes of coloured glass without refraction before a bright world."""
+    nodes = {"clear": Node("transparent", {"color": (0.9, 0.3, 0.1)})}
+    pane = Material("pane", Graph(nodes, surface=Link("clear", "bsdf")))
+    root = Group("root", [quad(1.0, 0.0, pane), quad(0.5, 0.3, pane)])
+    return Scene(root, from_above(3.0), [], uniform_world((1.0, 1.0, 1.0)))
+
+
+@pytest.mark.parametrize("secondary", ["cones", "rays"])
+def test_first_surfaces_colour_what_is_seen_through_them(secondary):
+    chosen = RenderSettings(32, 32, method="raytrace", raytrace=RaytraceSettings(secondary=secondary))
+    found = render(stained(), chosen).passes["combined"][..., :3]
+    once, twice = np.array((0.9, 0.3, 0.1)), np.array((0.81, 0.09, 0.01))
+    np.testing.assert_allclose(found[15:17, 15:17].mean((0, 1)), twice, atol=0.04)  # 64 subpixels
+    np.testing.assert_allclose(found[15:17, 10:12].mean((0, 1)), once, atol=0.04)
+
+
+def test_transparent_film_takes_one_opacity_of_all_channels():
+    chosen = RenderSettings(32, 32, method="raytrace", film_transparent=True)
+    found = render(stained(), chosen).passes["combined"]
+    assert found[15:17, 10:12, 3].mean() == pytest.approx(1.0 - 1.3 / 3, abs=0.05)
