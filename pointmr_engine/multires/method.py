@@ -62,7 +62,7 @@ class TracedImage(Image):
 
     @property
     def fits(self) -> tuple:
-        return *super().fits, self.space_of.__name__, self.tile, len(self.views)
+        return *super().fits, self.space_of.__name__, len(self.views)
 
     def needs(self) -> dict:
         return super().needs() | {
