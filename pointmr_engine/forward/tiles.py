@@ -82,7 +82,7 @@ class Workspace:
         self.entries = walk(
             image.view, hierarchy, image.camera.camera_from_world, image.spacing,
             (self.left, self.low, self.left + self.width, self.low + self.height),
-            self.scratch, self.wanted, image.settings.forward.occlusion_culling, s,
+            self.scratch, self.wanted, image.settings.forward.occlusion_culling, s, image.hardly,
         )  # fmt: skip
         if counters[WAITING] == waiting:
             return None

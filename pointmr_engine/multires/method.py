@@ -49,6 +49,7 @@ class TracedImage(Image):
         super().__init__(sampler, scene, stage.camera, primary_settings(settings))
         side = math.isqrt(settings.raytrace.cones)
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
+        self.hardly = 0.0
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
