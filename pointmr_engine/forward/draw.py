@@ -141,7 +141,9 @@ def open_share(target, width, height, x0, y0, x1, y1, w, most):
 
 
 @device
-def draw_set(target, width, height, constants, lanes, address, row, first, count, entries, used, counters):
+def draw_set(
+    target, width, height, constants, lanes, address, node, row, first, count, entries, used, counters,
+):  # fmt: skip
     """Draw surfels first..first + count; returns the number of entries then used.
 
     width, height: subpixels of the tile. constants: as set_constants left them; lanes (LANE_ROWS, 8) float32; address
@@ -153,7 +155,7 @@ def draw_set(target, width, height, constants, lanes, address, row, first, count
     if stop - begin <= FEW:
         for chunk in range(begin, stop):
             used = _draw_chunk(
-                target, width, height, lanes, address, row, chunk, first, end, entries, used, counters
+                target, width, height, lanes, address, node, row, chunk, first, end, entries, used, counters
             )
         return used
     fw, fh = np.float32(width), np.float32(height)
@@ -167,8 +169,8 @@ def draw_set(target, width, height, constants, lanes, address, row, first, count
             k = trailing_zeros(seen)
             seen &= seen - 1
             used = _draw_chunk(
-                target, width, height, lanes, address, row, group + k, first, end, entries, used, counters
-            )
+                target, width, height, lanes, address, node, row, group + k, first, end, entries, used, counters,
+            )  # fmt: skip
     return used
 
 
@@ -188,7 +190,7 @@ def _ball_shows(target, width, height, constants, lanes, k):
 
 
 @device
-def _draw_chunk(target, width, height, lanes, address, row, chunk, first, end, entries, used, counters):
+def _draw_chunk(target, width, height, lanes, address, node, row, chunk, first, end, entries, used, counters):
     """Draw those of eight surfels that lie in first..end; as draw_set."""
     fw, fh = np.float32(width), np.float32(height)
     start = chunk * WIDTH
@@ -208,7 +210,8 @@ def _draw_chunk(target, width, height, lanes, address, row, chunk, first, end, e
     while seen != 0:
         k = trailing_zeros(seen)
         seen &= seen - 1
-        phase = ((start + k) * np.int64(40503)) >> np.int64(7)
+        # by node and place in its set, so that a sample more elsewhere changes nothing here
+        phase = ((61 * node + start + k - first) * np.int64(40503)) >> np.int64(7)
         counters[DRAWN] += 1
         if cover_ellipse(
             target, width, height, lanes[SX, k], lanes[SY, k], lanes[A, k], lanes[B, k], lanes[C, k],

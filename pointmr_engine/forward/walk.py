@@ -347,7 +347,19 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 view, width, height, left, low, transforms.matrix, row, scale[row], octree.box, node, constants,
             )  # fmt: skip
             count = draw_set(
-                target, width, height, constants, lanes, address, row, first, n, entries, count, counters
+                target,
+                width,
+                height,
+                constants,
+                lanes,
+                address,
+                node,
+                row,
+                first,
+                n,
+                entries,
+                count,
+                counters,
             )
             counters[3] += 1
             counters[4] += n

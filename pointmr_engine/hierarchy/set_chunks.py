@@ -33,10 +33,9 @@ def _keys(row, chosen, home, spacing, keys):
     for k in range(len(chosen)):
         code = np.uint64(0)
         for axis in range(3):
-            # cells of half a spacing, counted modulo 1024: nodes are 8 spacings wide; no border at 0, where much lies
-            x = np.int64(np.floor(np.float64(row[chosen[k], X + axis]) * 2.0 / spacing + 0.37)) & np.int64(
-                1023
-            )
+            # cells of one spacing, counted modulo 1024: nodes are 8 spacings wide; no border at 0, where much lies
+            cell = np.int64(np.floor(np.float64(row[chosen[k], X + axis]) / spacing + 0.37))
+            x = cell & np.int64(1023)
             for bit in range(10):
                 code |= np.uint64((x >> bit) & 1) << np.uint64(3 * bit + axis)
         keys[k] = (np.uint64(home[k]) << np.uint64(30)) | code
