@@ -46,8 +46,8 @@ def bound_chunks(row, first, end, out):
     """Fill the chunks of rows first..end, of which the first may have been begun before.
 
     row (S, 16) float32 surfels; out (C, 16) float32: centres, and in XX the square of the radius over BALL_REACH, so
-    that a chunk is placed in the image as a surfel is. Chunks that hold surfels of several groups have large balls:
-    they hide nothing that is seen.
+    that a chunk is placed in the image as a surfel is. Chunks that hold surfels of distant nodes have large balls,
+    which are seldom hidden.
     """
     for c in range(first // CHUNK_OF, (end + CHUNK_OF - 1) // CHUNK_OF):
         a, b = c * CHUNK_OF, min((c + 1) * CHUNK_OF, end)
