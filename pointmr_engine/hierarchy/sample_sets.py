@@ -221,6 +221,8 @@ class SampleSets:
                 return chosen(self.surfels, slice(*self.built[key]))
             if key not in self._ready:
                 nodes = self._nodes(g, level)
+                if not len(nodes):
+                    return allocate_surfels(0)
                 sets = self.files.load(g, level, len(nodes)) if self.files else None
                 loaded = sets is not None
                 if sets is None:
@@ -239,6 +241,9 @@ class SampleSets:
     def _take(self, wanted: list[tuple[int, int]]) -> None:
         """Put what is ready into the pool that kernels read; then what others were made from, wanted or not."""
         for g, level in [*wanted, *sorted(self._ready.keys() - set(wanted))]:
+            if (g, level) not in self._ready:  # no node of this level has a set
+                self.built[g, level] = self.used, self.used
+                continue
             sets = self._ready[g, level]
             n, counts = len(sets.surfels.row), sets.counts
             self._append(sets.surfels)
