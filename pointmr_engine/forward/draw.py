@@ -24,6 +24,7 @@ from pointmr_engine.forward.surfel_lanes import (
     NEARNESS,
     OPACITY,
     PERSPECTIVE,
+    PZ,
     RADIUS,
     SHIFT_X,
     SHIFT_Y,
@@ -41,8 +42,9 @@ from pointmr_engine.forward.surfel_lanes import (
 )
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
-from pointmr_engine.numerics.simd_cover import is_open
+from pointmr_engine.numerics.simd_cover import count_open, is_open
 
+FEW = 2  # chunks: a set of no more is drawn without a look at their balls
 DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 
 
@@ -120,42 +122,106 @@ def box_is_behind(target, width, height, x0, y0, x1, y1, w):
 
 
 @device
-def draw_set(target, width, height, constants, lanes, address, row, first, count, entries, used, counters):
+def open_share(target, width, height, x0, y0, x1, y1, w, most):
+    """Share of these bounds in which nothing nearer than w is drawn; 1 if it is more than `most`."""
+    zero, one = np.float32(0), np.float32(1)
+    i0, i1 = np.int64(max(x0, zero)), np.int64(min(x1, width - one))
+    j0, j1 = np.int64(max(y0, zero)), np.int64(min(y1, height - one))
+    stride = np.int64(target.depth.shape[1])
+    if j0 > j1 or i0 > i1:
+        return zero
+    start, rows = target.address[0], j1 + 1 - j0
+    area = np.float32(rows * (i1 + 1 - i0))
+    found, limit = np.int64(0), np.int64(most * area)
+    for i in range(i0, i1 + 1, WIDTH):
+        found += count_open(start, j0 * stride + i, stride, rows, min(np.int64(WIDTH), i1 + 1 - i), w)
+        if found > limit:
+            return one
+    return np.float32(found) / area
+
+
+@device
+def draw_set(
+    target, width, height, constants, lanes, address, node, row, first, count, entries, used, counters,
+):  # fmt: skip
     """Draw surfels first..first + count; returns the number of entries then used.
 
     width, height: subpixels of the tile. constants: as set_constants left them; lanes (LANE_ROWS, 8) float32; address
-    (3,) uint64: of the surfels' rows, of `constants` and of `lanes`. Entries must have room for `count` more.
+    (5,) uint64: of the surfels' rows, of `constants`, of `lanes`, and, last, of the chunks of rows. Entries must have
+    room for `count` more.
     """
+    end = first + count
+    begin, stop = first // WIDTH, (end + WIDTH - 1) // WIDTH
+    if stop - begin <= FEW:
+        for chunk in range(begin, stop):
+            used = _draw_chunk(
+                target, width, height, lanes, address, node, row, chunk, first, end, entries, used, counters
+            )
+        return used
     fw, fh = np.float32(width), np.float32(height)
-    for start in range(first, first + count, WIDTH):
-        mask = place_eight(address[0], start, address[1], address[2])
-        mask &= (np.int64(1) << min(np.int64(WIDTH), first + count - start)) - 1
+    for group in range(begin, stop, WIDTH):
+        place_eight(address[4], group, address[1], address[2])
         seen = np.int64(0)
-        while mask != 0:
-            k = trailing_zeros(mask)
-            mask &= mask - 1
-            x, y, radius = lanes[SX, k], lanes[SY, k], lanes[RADIUS, k]
-            if not box_is_behind(
-                target, fw, fh, x - radius, y - radius, x + radius, y + radius, lanes[FRONT, k]
-            ):
+        for k in range(min(np.int64(WIDTH), stop - group)):
+            if _ball_shows(target, fw, fh, constants, lanes, k):
                 seen |= np.int64(1) << k
-        if seen == 0:
-            continue
-        shape_eight(address[0], start, address[1], address[2])
         while seen != 0:
             k = trailing_zeros(seen)
             seen &= seen - 1
-            phase = ((start + k) * np.int64(40503)) >> np.int64(7)
-            counters[DRAWN] += 1
-            if cover_ellipse(
-                target, width, height, lanes[SX, k], lanes[SY, k], lanes[A, k], lanes[B, k], lanes[C, k],
-                lanes[NEARNESS, k], lanes[SLOPE_X, k], lanes[SLOPE_Y, k], used, lanes[OPACITY, k], phase & np.int64(63),
-            ):  # fmt: skip
-                entries.surfel[used] = 2 * (start + k) + (
-                    np.int64(1) if lanes[OPACITY, k] < np.float32(1) else np.int64(0)
-                )
-                entries.row[used] = row
-                used += 1
+            used = _draw_chunk(
+                target, width, height, lanes, address, node, row, group + k, first, end, entries, used, counters,
+            )  # fmt: skip
+    return used
+
+
+@device
+def _ball_shows(target, width, height, constants, lanes, k):
+    """Whether something of the ball in lane k may be seen in the tile."""
+    # about the camera, or so near that its outline is not nearly round: as it may hold samples of distant nodes
+    if constants[PERSPECTIVE] > 0.5 and not (
+        lanes[PZ, k] > 0.0 and lanes[NEARNESS, k] > np.float32(0.9) * lanes[FRONT, k]
+    ):
+        return True
+    x, y, radius = lanes[SX, k], lanes[SY, k], lanes[RADIUS, k] * np.float32(1.01)
+    x0, y0, x1, y1 = x - radius, y - radius, x + radius, y + radius
+    if not (x1 > 0.0 and y1 > 0.0 and x0 < width and y0 < height):
+        return False
+    return not box_is_behind(target, width, height, x0, y0, x1, y1, lanes[FRONT, k])
+
+
+@device
+def _draw_chunk(target, width, height, lanes, address, node, row, chunk, first, end, entries, used, counters):
+    """Draw those of eight surfels that lie in first..end; as draw_set."""
+    fw, fh = np.float32(width), np.float32(height)
+    start = chunk * WIDTH
+    mask = place_eight(address[0], start, address[1], address[2])
+    mask &= (np.int64(1) << min(np.int64(WIDTH), end - start)) - 1
+    mask &= -(np.int64(1) << max(first - start, np.int64(0)))
+    seen = np.int64(0)
+    while mask != 0:
+        k = trailing_zeros(mask)
+        mask &= mask - 1
+        x, y, radius = lanes[SX, k], lanes[SY, k], lanes[RADIUS, k]
+        if not box_is_behind(target, fw, fh, x - radius, y - radius, x + radius, y + radius, lanes[FRONT, k]):
+            seen |= np.int64(1) << k
+    if seen == 0:
+        return used
+    shape_eight(address[0], start, address[1], address[2])
+    while seen != 0:
+        k = trailing_zeros(seen)
+        seen &= seen - 1
+        # by node and place in its set, so that a sample more elsewhere changes nothing here
+        phase = ((61 * node + start + k - first) * np.int64(40503)) >> np.int64(7)
+        counters[DRAWN] += 1
+        if cover_ellipse(
+            target, width, height, lanes[SX, k], lanes[SY, k], lanes[A, k], lanes[B, k], lanes[C, k],
+            lanes[NEARNESS, k], lanes[SLOPE_X, k], lanes[SLOPE_Y, k], used, lanes[OPACITY, k], phase & np.int64(63),
+        ):  # fmt: skip
+            entries.surfel[used] = 2 * (start + k) + (
+                np.int64(1) if lanes[OPACITY, k] < np.float32(1) else np.int64(0)
+            )
+            entries.row[used] = row
+            used += 1
     return used
 
 

@@ -142,8 +142,12 @@ def fill_fragments(
     no colour and no normal yet (it is 0).
     """
     m = transforms.matrix
+    last = np.int64(
+        EMPTY
+    )  # the triangle that `corners` and its normal belong to: neighbours often show the same one
+    nx = ny = nz = scale = 0.0
     for k in range(count):
-        e = fragments.entry[k]
+        e = np.int64(fragments.entry[k])
         row = np.int64(entries.row[e])
         fragments.row[k] = row
         s = entries.surfel[e]
@@ -155,15 +159,15 @@ def fill_fragments(
                 fragments.position[k, r] = (
                     m[row, at] * x + m[row, at + 1] * y + m[row, at + 2] * z + m[row, at + 3]
                 )
-            nx, ny, nz = np.float64(sets.row[s, NX]), np.float64(sets.row[s, NY]), np.float64(sets.row[s, NZ])
-            length = min(np.sqrt(nx * nx + ny * ny + nz * nz), 1.0)
-            nx, ny, nz = _carry_normal(normals, row, nx, ny, nz)
+            x, y, z = np.float64(sets.row[s, NX]), np.float64(sets.row[s, NY]), np.float64(sets.row[s, NZ])
+            length = min(np.sqrt(x * x + y * y + z * z), 1.0)
+            x, y, z = _carry_normal(normals, row, x, y, z)
             fragments.normal[k, 0], fragments.normal[k, 1], fragments.normal[k, 2] = (
-                nx * length,
-                ny * length,
-                nz * length,
+                x * length,
+                y * length,
+                z * length,
             )
-            fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = nx, ny, nz
+            fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = x, y, z
             for c in range(3):
                 fragments.albedo[k, c] = sets.row[s, RED + c]
                 fragments.emission[k, c] = sets.emission[min(s, len(sets.emission) - 1), c]
@@ -173,7 +177,22 @@ def fill_fragments(
             continue
         i = (-1 - s) >> 1
         part, triangle = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
-        triangle_to_camera(m, row, all_corners, i, corners)
+        if e != last:
+            last = e
+            triangle_to_camera(m, row, all_corners, i, corners)
+            ax, ay, az = (
+                corners[1, 0] - corners[0, 0],
+                corners[1, 1] - corners[0, 1],
+                corners[1, 2] - corners[0, 2],
+            )
+            bx, by, bz = (
+                corners[2, 0] - corners[0, 0],
+                corners[2, 1] - corners[0, 1],
+                corners[2, 2] - corners[0, 2],
+            )
+            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            scale = 1.0 / length if length > 0.0 else 0.0
         dx, dy = ray_through(view, left + fragments.x[k], low + fragments.y[k])
         u, v = meet_plane(view, corners, dx, dy)
         u, v = max(u, 0.0), max(v, 0.0)
@@ -184,19 +203,6 @@ def fill_fragments(
         fragments.place[k, 0], fragments.place[k, 1] = u, v
         for r in range(3):
             fragments.position[k, r] = (1.0 - u - v) * corners[0, r] + u * corners[1, r] + v * corners[2, r]
-        ax, ay, az = (
-            corners[1, 0] - corners[0, 0],
-            corners[1, 1] - corners[0, 1],
-            corners[1, 2] - corners[0, 2],
-        )
-        bx, by, bz = (
-            corners[2, 0] - corners[0, 0],
-            corners[2, 1] - corners[0, 1],
-            corners[2, 2] - corners[0, 2],
-        )
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        scale = 1.0 / length if length > 0.0 else 0.0
         fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = (
             nx * scale,
             ny * scale,

@@ -32,7 +32,8 @@ class SimpleShading:
 
     def _look_up_triangles(self, space, count: int) -> None:
         f = space.fragments
-        rows = np.flatnonzero(~f.normal[:count].any(1))
+        rows = np.empty(count, np.int64)
+        rows = rows[: _without_normal(f.normal, np.int64(count), rows)]
         if not len(rows):
             return
         width = self.image.pixel * np.maximum(f.position[rows, 2], 0.0).astype(np.float32)
@@ -46,6 +47,17 @@ class SimpleShading:
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         f.normal[rows] = normal / np.where(length > 0, length, 1)
         f.albedo[rows], f.emission[rows] = look.albedo, look.emission
+
+
+@uncounted
+def _without_normal(normal, count, out):
+    """Fill `out` with the rows 0..count of normal (F, 3) that are 0; returns how many."""
+    n = np.int64(0)
+    for k in range(count):
+        if normal[k, 0] == 0.0 and normal[k, 1] == 0.0 and normal[k, 2] == 0.0:
+            out[n] = k
+            n += 1
+    return n
 
 
 class PointLights(NamedTuple):

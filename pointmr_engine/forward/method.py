@@ -20,8 +20,8 @@ from pointmr_engine.forward.fragments import (
 )
 from pointmr_engine.forward.lambert import SimpleShading
 from pointmr_engine.forward.subpixels import make_view
-from pointmr_engine.forward.tiles import TILE, Workspace
-from pointmr_engine.forward.walk import COUNTERS, Hierarchy
+from pointmr_engine.forward.tiles import TILE, WIDE_TILE, Workspace
+from pointmr_engine.forward.walk import COUNTERS, HARDLY, Hierarchy
 from pointmr_engine.forward.world_light import WorldLight
 from pointmr_engine.hierarchy.distribution import Distribution, build_distribution
 from pointmr_engine.hierarchy.geometry import Geometry
@@ -121,7 +121,8 @@ class Image:
         self.lamps = compile_lamps(self.scene_lights)[0]
         self.shadows = options.shadows and bool(self.lamps.cast_shadow.any())
         self.shading = self.choose_shading()
-        self.tile = TILE
+        self.hardly = HARDLY if options.shading == "simple" else 0.0
+        self.tile = WIDE_TILE if self.subpixels <= 2 else TILE
         self.drawn, self.space_of = (
             None,
             Workspace,
@@ -154,6 +155,7 @@ class Image:
             options.reconstruction == "analytic",
             self.subpixels,
             self.apron,
+            self.tile,
             self.settings.forward.shading,
             self.shadows,
         )

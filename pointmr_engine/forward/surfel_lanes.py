@@ -11,13 +11,13 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from pointmr_engine.hierarchy.set_chunks import BALL_REACH
 from pointmr_engine.hierarchy.surfels import AREA, COLUMNS, NX, NY, NZ, XX, XY, XZ, YY, YZ, ZZ, X, Y, Z
 from pointmr_engine.numerics.simd import WIDTH, _i64
 from pointmr_engine.numerics.simd_terms import Terms
 
-REACH = (
-    2.2  # radii of an ellipse in standard deviations of its piece: a disk's edge is at 2; a tenth closes gaps
-)
+# radii of an ellipse in standard deviations of its piece: a disk's edge is at 2; a tenth closes gaps
+REACH = BALL_REACH
 SOLID = 1.25  # times a piece's projected area over its ellipse's: from 1 on it is drawn without gaps
 SURFACE, CLUMP = (
     0.2,

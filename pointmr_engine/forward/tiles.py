@@ -22,6 +22,7 @@ from pointmr_engine.scene.group import CAMERA
 
 WAITING = COUNTERS.index("waiting")
 TILE = 94  # pixels; with one more on each side for the filter, and four subpixels, whole blocks
+WIDE_TILE = 190  # where a pixel has two subpixels a side, or one: the buffers stay in the second-level cache
 
 
 class Workspace:
@@ -81,7 +82,7 @@ class Workspace:
         self.entries = walk(
             image.view, hierarchy, image.camera.camera_from_world, image.spacing,
             (self.left, self.low, self.left + self.width, self.low + self.height),
-            self.scratch, self.wanted, image.settings.forward.occlusion_culling, s,
+            self.scratch, self.wanted, image.settings.forward.occlusion_culling, s, image.hardly,
         )  # fmt: skip
         if counters[WAITING] == waiting:
             return None
@@ -144,14 +145,19 @@ class Workspace:
         x0, y0 = image.region[:2]
         where = np.s_[bounds[1] - y0 : bounds[3] - y0, bounds[0] - x0 : bounds[2] - x0]
         rows, columns = bounds[3] - bounds[1], bounds[2] - bounds[0]
-        nothing = np.zeros_like(self.background)
 
         def filtered(values, background):
             return self._filtered(values, background, rows, columns)
 
         combined = filtered(self.light, self.background)
-        combined[:, :, :3] *= image.settings.film_exposure
-        frame.passes["combined"][where] = np.nan_to_num(combined, copy=False)
+        if image.settings.film_exposure != 1.0:
+            combined[:, :, :3] *= image.settings.film_exposure
+        if not np.isfinite(combined).all():
+            np.nan_to_num(combined, copy=False)
+        frame.passes["combined"][where] = combined
+        if len(frame.passes) == 1:
+            return
+        nothing = np.zeros_like(self.background)
         middle = image.apron * s + s // 2
         nearest = self.target.ids[middle : self.height : s, middle : self.width : s][:rows, :columns]
         seen, k = nearest >= 0, np.maximum(nearest, 0)
@@ -205,10 +211,16 @@ class Workspace:
         image, s = self.image, self.image.subpixels
         rows, columns = self.height // s, self.width // s
         n = s // self.cell
-        empty = self.empty[: n * rows, : n * columns].reshape(rows, n, columns, n).any((1, 3))
-        self.background[:rows, :columns] = 0
+        empty = self.empty[: n * rows, : n * columns]
+        background = self.background[:rows, :columns]
+        background[:] = 0
         if image.settings.film_transparent or not empty.any():
             return
+        uniform = image.sampler.environment.uniform(CAMERA)
+        if uniform is not None:
+            background[:, :, :3], background[:, :, 3] = uniform, 1  # where all is covered, nothing reads it
+            return
+        empty = empty.reshape(rows, n, columns, n).any((1, 3))
         y, x = np.nonzero(empty)
         view = image.view
         d = np.ones((len(x), 3))
@@ -221,5 +233,5 @@ class Workspace:
         world = np.einsum(
             "nk,ck->nc", d, image.camera.world_from_camera[:, :3]
         )  # BLAS would start threads for it
-        self.background[y, x, :3] = image.sampler.environment.radiance(world, CAMERA)
-        self.background[y, x, 3] = 1
+        background[y, x, :3] = image.sampler.environment.radiance(world, CAMERA)
+        background[y, x, 3] = 1

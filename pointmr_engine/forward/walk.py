@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries, box_is_behind, draw_set, set_constants
+from pointmr_engine.forward.draw import Entries, box_is_behind, draw_set, open_share, set_constants
 from pointmr_engine.forward.draw_triangles import draw_triangles
 from pointmr_engine.forward.subpixels import Target, View, clear, is_hidden, mark_drawn
 from pointmr_engine.forward.surfel_lanes import CONSTANTS, LANE_ROWS
@@ -32,6 +32,10 @@ from pointmr_engine.numerics.simd import WIDTH
 FINE = (
     2048  # subpixels: bounds up to this size are compared with every depth in them, larger ones with blocks
 )
+COUNTED = 1 << 14  # subpixels: in bounds up to this size it is counted how much of them is open
+HARDLY = (
+    1 / 8
+)  # of a box: when no more of it can be seen, samples twice as far apart will do for moving images
 SMALL = 1.5  # pixels: triangles no larger are shaded once, not in every pixel
 DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
 COUNTERS = (
@@ -81,7 +85,7 @@ class Scratch:
         self.corners = np.empty((3, 3))
         self.constants = np.zeros(CONSTANTS, np.float32)
         self.lanes = np.zeros((LANE_ROWS, WIDTH), np.float32)
-        self.address = np.array([0, self.constants.ctypes.data, self.lanes.ctypes.data, 0], np.uint64)
+        self.address = np.array([0, self.constants.ctypes.data, self.lanes.ctypes.data, 0, 0], np.uint64)
 
     def grow(self, status: int) -> None:
         if status == ENTRIES_FULL:
@@ -103,22 +107,26 @@ def walk(
     wanted: np.ndarray,
     culling: bool = True,
     subpixels: int = 4,
+    hardly: float = 0.0,
 ) -> int:
     """Draw the scene's part in a tile into scratch.target, which is empty; returns the number of entries.
 
     spacing: of samples, in subpixels, at most. bounds: x0, y0, x1, y1 of the tile in subpixels of the whole image.
     wanted (nodes,) uint8: 1 is written where a set is needed that is not built; such nodes are not drawn.
-    culling: leave out boxes that are hidden by what is drawn already. subpixels: per side of a pixel.
+    culling: leave out boxes that are hidden by what is drawn already. subpixels: per side of a pixel. hardly: boxes of
+    which at most this share is open are drawn from samples twice as far apart.
     """
     before = scratch.counters.copy()
     scratch.address[0] = hierarchy.sets.row.ctypes.data
     scratch.address[3] = hierarchy.corners.ctypes.data
+    scratch.address[4] = hierarchy.sets.chunk.ctypes.data
     while True:
         status = _walk(
             view, hierarchy, np.ascontiguousarray(camera_from_world[:3], np.float64), float(spacing),
             *(np.int64(b) for b in bounds), scratch.target, scratch.entries, scratch.heap, scratch.transforms,
             scratch.scale, scratch.box, scratch.bounds, scratch.corners, scratch.constants, scratch.lanes,
-            scratch.address, wanted, bool(culling), np.float32(SMALL * subpixels), scratch.used, scratch.counters,
+            scratch.address, wanted, bool(culling), np.float32(SMALL * subpixels), np.float32(hardly),
+            scratch.used, scratch.counters,
         )  # fmt: skip
         if status == DONE:
             return int(scratch.used[0])
@@ -215,6 +223,21 @@ def _is_hidden(view, target, width, height, x0, y0, x1, y1, front):
 
 
 @device
+def _open_share(view, target, width, height, x0, y0, x1, y1, front, most):
+    """Share of these subpixels in which something at depth `front` could be seen; 1 where it is more than `most`."""
+    if (x1 - x0) * (y1 - y0) > COUNTED:
+        hidden = _is_hidden(view, target, width, height, x0, y0, x1, y1, front)
+        return np.float32(0) if hidden else np.float32(1)
+    w = view.depth_shift - front * view.depth_scale
+    if view.perspective:
+        if front <= view.near:
+            return np.float32(1)
+        w = 1.0 / front
+    f = np.float32
+    return open_share(target, f(width), f(height), f(x0), f(y0), f(x1), f(y1), f(w), most)
+
+
+@device
 def _add(view, hierarchy, heap, sizes, transforms, node, row, pad, box, bounds, left, low, width, height, counters,
          target, culling):  # fmt: skip
     """Put a node on the heap if it can be seen. sizes: of the heap, and slots used; False: no room."""
@@ -271,7 +294,8 @@ def _entrance(octree, matrix, row, factor, group, view, box):
 
 @uncounted
 def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, target, entries, heap, transforms,
-          scale, box, bounds, corners, constants, lanes, address, wanted, culling, small, used, counters):  # fmt: skip
+          scale, box, bounds, corners, constants, lanes, address, wanted, culling, small, hardly, used,
+          counters):  # fmt: skip
     octree, sets = hierarchy.octree, hierarchy.sets
     width, height = right - left, high - low
     root = len(octree.group_root) - 1
@@ -296,15 +320,19 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
         x0, y0 = np.float64(heap.bounds[slot, 0]), np.float64(heap.bounds[slot, 1])
         x1, y1 = np.float64(heap.bounds[slot, 2]), np.float64(heap.bounds[slot, 3])
         apart = octree.side[node] * SPACING * scale[row]
+        enough = spacing
         if culling and count > 0:
-            if _is_hidden(view, target, width, height, x0, y0, x1, y1, near - apart):
+            share = _open_share(view, target, width, height, x0, y0, x1, y1, near - apart, hardly)
+            if share == 0.0:
                 counters[2] += 1
                 continue
+            if share <= hardly:
+                enough *= 2.0
         own, large, own_end = octree.items[node, 0], octree.items[node, 1], octree.items[node, 2]
         projected = apart * focal * _distortion(view, left + x0, low + y0, left + x1, low + y1)
-        dense = projected <= spacing
+        dense = projected <= enough
         if view.perspective:
-            dense = near > 0.0 and projected <= spacing * near
+            dense = near > 0.0 and projected <= enough * near
         first = sets.sets[node, 0]
         drawn = large
         before = count
@@ -319,7 +347,19 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 view, width, height, left, low, transforms.matrix, row, scale[row], octree.box, node, constants,
             )  # fmt: skip
             count = draw_set(
-                target, width, height, constants, lanes, address, row, first, n, entries, count, counters
+                target,
+                width,
+                height,
+                constants,
+                lanes,
+                address,
+                node,
+                row,
+                first,
+                n,
+                entries,
+                count,
+                counters,
             )
             counters[3] += 1
             counters[4] += n

@@ -26,6 +26,8 @@ DIVISIONS = 19  # of that cell: 19 * 3 bits of position and 5 of level fill a so
 MAX_LEVEL = CHAIN + DIVISIONS
 LEAF_TRIANGLES = 8  # nodes of this many triangles and no instance are not split, nor are nodes of one item
 SPACING = 0.125  # of a cell's side: the distance of its samples
+# of the side of an instance's cell: what it counts as, so that sample sets stand for several instances
+INSTANCE_SIZE = 0.25
 KEPT_POINTS = 3.0  # a triangle of more samples than this is kept as it is (talk: "say > 3 points")
 LIMIT = np.float32(1e12)
 PAD = np.float32(1e-6)  # of a box's largest coordinate: what rounding to float32 may cost
@@ -246,7 +248,7 @@ def _instance_items(address, count, index, groups, seen, lower, upper, side, bat
             scale = max(scale, column)
             boxes[n, k] = middle - half
             boxes[n, 3 + k] = middle + half
-        sizes[n] = side[g] * np.sqrt(scale)
+        sizes[n] = side[g] * np.sqrt(scale) * INSTANCE_SIZE
         rows[n, 0] = -1 - batch
         rows[n, 1] = i
         n += 1

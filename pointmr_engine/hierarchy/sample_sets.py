@@ -20,8 +20,10 @@ from numba import njit
 from pointmr_engine.hierarchy.candidates import Candidates, Looks
 from pointmr_engine.hierarchy.exposure import exposure
 from pointmr_engine.hierarchy.octree import CHAIN, LEAF_TRIANGLES, SPACING, Octree
+from pointmr_engine.hierarchy.set_chunks import CHUNK_OF, bound_chunks, in_space_order
 from pointmr_engine.hierarchy.set_files import SetFiles, StoredSets
 from pointmr_engine.hierarchy.strategies import select
+from pointmr_engine.hierarchy.surface_split import split_surfaces
 from pointmr_engine.hierarchy.surfels import (
     AREA,
     COLUMNS,
@@ -59,6 +61,8 @@ class SetArrays(NamedTuple):
     emission: np.ndarray  # (S, 3) float32; (1, 3) while no surfel emits
     source: np.ndarray  # (S, 2) int32
     place: np.ndarray  # (S, 2) float32
+    # (S / 8 + 8, 16) float32: a ball about each eight rows, as a surfel (set_chunks)
+    chunk: np.ndarray
 
 
 class SampleSets:
@@ -97,6 +101,7 @@ class SampleSets:
         how = (strategy, seed, failure if strategy == "random" else 0.0)
         self.files = SetFiles(folder, octree.geometry, (how, constants)) if folder else None
         self.surfels = allocate_surfels(1 << 12)
+        self.chunks = np.zeros(((1 << 12) // CHUNK_OF + SLACK, COLUMNS), np.float32)
         self.used = 0
         self.built: dict[tuple[int, int], tuple[int, int]] = {}  # (group, level) -> surfels' interval
         self.made = self.loaded = 0  # of those that are built, how many by sampling and how many from files
@@ -134,7 +139,7 @@ class SampleSets:
 
     @property
     def arrays(self) -> SetArrays:
-        return SetArrays(self.sets, *self.surfels)
+        return SetArrays(self.sets, *self.surfels, self.chunks)
 
     def bytes_per_triangle(self) -> float:
         """Memory of all sets that are there, per unique triangle."""
@@ -216,6 +221,8 @@ class SampleSets:
                 return chosen(self.surfels, slice(*self.built[key]))
             if key not in self._ready:
                 nodes = self._nodes(g, level)
+                if not len(nodes):
+                    return allocate_surfels(0)
                 sets = self.files.load(g, level, len(nodes)) if self.files else None
                 loaded = sets is not None
                 if sets is None:
@@ -234,6 +241,9 @@ class SampleSets:
     def _take(self, wanted: list[tuple[int, int]]) -> None:
         """Put what is ready into the pool that kernels read; then what others were made from, wanted or not."""
         for g, level in [*wanted, *sorted(self._ready.keys() - set(wanted))]:
+            if (g, level) not in self._ready:  # no node of this level has a set
+                self.built[g, level] = self.used, self.used
+                continue
             sets = self._ready[g, level]
             n, counts = len(sets.surfels.row), sets.counts
             self._append(sets.surfels)
@@ -260,6 +270,11 @@ class SampleSets:
             getattr(pool, name)[used:end] = getattr(surfels, name)
         if len(pool.emission) > 1:
             pool.emission[used:end] = surfels.emission
+        if len(self.chunks) < end // CHUNK_OF + SLACK:
+            chunks = np.zeros((len(pool.row) // CHUNK_OF + SLACK, COLUMNS), np.float32)
+            chunks[: len(self.chunks)] = self.chunks
+            self.chunks = chunks
+        bound_chunks(pool.row, np.int64(used), np.int64(end), self.chunks)
         self.surfels = pool
 
     def _nodes(self, g: int, level: int) -> np.ndarray:
@@ -305,13 +320,18 @@ class SampleSets:
             return
         area = np.ascontiguousarray(candidates.row[:, AREA])
         found = select(self.strategy, apart, area, spacing, self.seed, self.failure)
-        # samples in the order of their nodes
-        home = node[found.representative]
-        order = np.argsort(home, kind="stable")
+        owner, place = found.owner, found.representative
+        if self.octree.geometry.group_batches[
+            g
+        ]:  # surfaces of the group itself are large triangles, kept as they are
+            owner, place = split_surfaces(candidates.row, owner, place, spacing)
+        # samples in the order of their nodes, and in each so that neighbours in space are neighbours in memory
+        home = node[place]
+        order = in_space_order(candidates.row, place.astype(np.int64), home, spacing)
         rank = np.empty(len(order), np.int32)
         rank[order] = np.arange(len(order), dtype=np.int32)
-        representative = found.representative[order]
-        owner = np.where(found.owner >= 0, rank[found.owner], np.int32(-1))
+        representative = place[order]
+        owner = np.where(owner >= 0, rank[owner], np.int32(-1))
         row = np.empty((len(order), COLUMNS), np.float32)
         emission = np.empty((len(order) if len(candidates.emission) > 1 else 1, 3), np.float32)
         if len(candidates.emission) == 1:

@@ -32,7 +32,7 @@ _DECIDING = (
     "scene",
     "forward/baking.py",
 )  # code that decides what sets hold
-_CONSTANTS = ("CHAIN", "DIVISIONS", "LEAF_TRIANGLES", "SPACING", "KEPT_POINTS")
+_CONSTANTS = ("CHAIN", "DIVISIONS", "LEAF_TRIANGLES", "SPACING", "KEPT_POINTS", "INSTANCE_SIZE")
 
 
 class StoredSets(NamedTuple):

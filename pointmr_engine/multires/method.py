@@ -55,6 +55,7 @@ class TracedImage(Image):
             self.apron += beside
         side = math.isqrt(settings.raytrace.cones)
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
+        self.hardly = 0.0
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
@@ -73,7 +74,7 @@ class TracedImage(Image):
 
     @property
     def fits(self) -> tuple:
-        return *super().fits, self.space_of.__name__, self.tile, len(self.views)
+        return *super().fits, self.space_of.__name__, len(self.views)
 
     def needs(self) -> dict:
         return super().needs() | {

@@ -160,6 +160,34 @@ def is_open(typingctx, depth, offset, stride, rows, count, nearness):
 
 
 @intrinsic
+def count_open(typingctx, depth, offset, stride, rows, count, nearness):
+    """How many of rows x count values are at most `nearness`; arguments as for is_open."""
+    f, i = types.float32, types.int64
+
+    def codegen(context, builder, signature, args):
+        depths = builder.inttoptr(args[0], _f32.as_pointer())
+        inside, limit = _first(builder, args[4]), _splat(builder, args[5])
+        end = builder.add(args[1], builder.mul(args[2], args[3]))
+        start = builder.block
+        loop, done = builder.append_basic_block("row"), builder.append_basic_block("done")
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        at, total = builder.phi(_i64), builder.phi(_i64)
+        at.add_incoming(args[1], start)
+        total.add_incoming(ir.Constant(_i64, 0), start)
+        mask = builder.and_(inside, builder.fcmp_ordered("<=", _load(builder, depths, at), limit))
+        summed = builder.add(total, builder.ctpop(_bits(builder, mask)))
+        following = builder.add(at, args[2])
+        at.add_incoming(following, loop)
+        total.add_incoming(summed, loop)
+        builder.cbranch(builder.icmp_signed(">=", following, end), done, loop)
+        builder.position_at_end(done)
+        return summed
+
+    return i(types.uint64, i, i, i, i, f), codegen
+
+
+@intrinsic
 def farthest_row(typingctx, depth, offset, count, far):
     """min(far, depth[offset : offset + count]) for count a multiple of eight; depth: address of float32."""
     f, i = types.float32, types.int64

@@ -61,12 +61,17 @@ class Environment:
         width = world.map_resolution if world.sampling == "MANUAL" else _image_width(world)
         self.map = _build_map(self.program, min(max(int(width), 4), _LARGEST_MAP), _find_sun(world))
 
+    def uniform(self, visibility: int = 0) -> np.ndarray | None:
+        """(3,) float32: the radiance where all directions have the same, else None; visibility as for `radiance`."""
+        if self.black or (visibility and not visibility & self.visibility):
+            return np.zeros(3, np.float32)
+        return None if self.constant is None else np.asarray(self.constant, np.float32)
+
     def radiance(self, direction: np.ndarray, visibility: int = 0) -> np.ndarray:
         """(N, 3) float32 radiance in unit directions (N, 3), for rays of one visibility bit, or 0 for light samples."""
-        if self.black or (visibility and not visibility & self.visibility):
-            return np.zeros((len(direction), 3), np.float32)
-        if self.constant is not None:
-            return np.broadcast_to(np.asarray(self.constant, np.float32), (len(direction), 3)).copy()
+        uniform = self.uniform(visibility)
+        if uniform is not None:
+            return np.broadcast_to(uniform, (len(direction), 3)).copy()
         out = evaluate_background(self.program, direction, _RAY_KINDS.get(visibility, 0))
         return np.nan_to_num(out, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
