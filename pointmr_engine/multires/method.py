@@ -27,12 +27,12 @@ DENSITY = 4.0  # samples per cone's footprint
 FRAGMENTS = 4  # of a cone, about: what one ray of a fragment's lobes stands for
 
 
-def primary_settings(settings: RenderSettings) -> RenderSettings:
-    """The same settings with the forward mapping of the primary cones."""
+def primary_settings(settings: RenderSettings, alpha: bool) -> RenderSettings:
+    """The same settings with the forward mapping of the primary cones; alpha: a subpixel is a whole cell."""
     chosen = settings.raytrace
     side = math.isqrt(chosen.cones)
     forward = ForwardSettings(
-        subpixels=SUBPIXELS * side,
+        subpixels=(SUBPIXELS // CELL if alpha else SUBPIXELS) * side,
         samples_per_pixel=DENSITY * chosen.cones / chosen.footprint**2,
         shadows=False,
         cache_folder=chosen.cache_folder,
@@ -46,7 +46,11 @@ class TracedImage(Image):
     def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
         self.stage = stage
         self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
-        super().__init__(sampler, scene, stage.camera, primary_settings(settings))
+        alpha = settings.raytrace.visibility == "alpha"
+        if alpha and stage.needs.lens:
+            alpha = False
+            self.warnings = ["visibility by alpha knows no depth of field: subpixel masks are used instead"]
+        super().__init__(sampler, scene, stage.camera, primary_settings(settings, alpha))
         side = math.isqrt(settings.raytrace.cones)
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
@@ -56,6 +60,10 @@ class TracedImage(Image):
             from pointmr_engine.multires.lens_tiles import split_lens
 
             split_lens(self)
+        if alpha:
+            from pointmr_engine.multires.alpha_tiles import use_alpha
+
+            use_alpha(self)
 
     def choose_shading(self):
         return TracedShading(self)
