@@ -27,7 +27,7 @@ EDGE = (
     math.sqrt(5.0) * SIGMA
 )  # half the width of the parabola of equal variance, which weighs triangles along rows
 LEAST = 1.0 / 512.0  # coverage, and weight of a surface, that counts
-FULL = 1.0 / 128.0  # a cell that lets less through is full
+FULL = 1.0 / 64.0
 CHECK = 0.95  # coverage after which a cell may be full
 APART = 0.75  # cells: surfaces no farther apart in depth are one, as in `merge`
 FIRM = 0.25  # by so much grows what surfels cover beyond a half: their sums are right to a few per cent only
@@ -57,7 +57,6 @@ class Layers(NamedTuple):
     load: np.ndarray  # (H, W) float32: coverage since the cell was last looked through
     apart: np.ndarray  # (2,) float32: nearness between what is one surface, in parts of it, and as it is
     lines: np.ndarray  # (2, LINES) float64 to work in
-    kept: np.ndarray  # (2,) int64 counters: fragments put into lists, and those of them that found no room
 
 
 def allocate_layers(width: int, height: int, apart: tuple[float, float]) -> Layers:
@@ -71,7 +70,7 @@ def allocate_layers(width: int, height: int, apart: tuple[float, float]) -> Laye
         depth, ids, np.zeros(blocks, f), np.zeros(blocks, np.uint8),
         np.array([a.ctypes.data for a in (depth, ids)], np.uint64), np.empty((height, width, ROOM), np.int32),
         np.empty((height, width, ROOM, COLUMNS), f), np.zeros((height, width), f), np.array(apart, f),
-        np.zeros((2, LINES)), np.zeros(2, np.int64),
+        np.zeros((2, LINES)),
     )  # fmt: skip
 
 
@@ -194,7 +193,6 @@ def _make_room(target, j, i, n):
     part[j, i, best, COVER] = total
     for k in range(best + 1, n - 1):
         _move(target, j, i, k + 1, k)
-    target.kept[1] += 1
 
 
 @device
@@ -219,7 +217,6 @@ def _insert(target, j, i, entry, near, half, cover, x, y, solid, side):
     part[j, i, n, AT_Y] = min(max(y, j + 0.05), j + 0.95)
     part[j, i, n, SOLID], part[j, i, n, SIDE] = solid, side
     target.ids[j, i] = n
-    target.kept[0] += 1
     target.load[j, i] += np.float32(cover)
     if target.load[j, i] >= np.float32(CHECK):
         _look_through(target, j, i)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pointmr_engine.forward.fragments import Fragments, allocate_fragments
@@ -25,21 +27,52 @@ from pointmr_engine.multires.a_buffer import (
 )
 from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normals
 from pointmr_engine.multires.method import CELL, SUBPIXELS, TracedTiles
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import pixel_seed
 
 CELLS = SUBPIXELS // CELL  # per side of a cone
 OF_CELL = CELL * CELL  # subpixels that a cell stands for: what counts of subpixels go by
 MINOR = 0.15  # of the largest coverage in a surface: fragments with less are left to the others
+GRAIN = 1.0 / 16.0  # of a cell: what weighs less is shaded by chance, in proportion, and then weighs this
 FINE = 1024  # weights of fragments while they merge, in whole numbers
 
 
+@device
+def _thin_out(f: Fragments, weight, first, last, total, seed):
+    """Leave few of fragments first..last that weigh less than GRAIN, each by as much more likely as it weighs more.
+
+    They are chosen in one systematic sample; weights then sum to `total`. Returns the new end.
+    """
+    at, to, got = np.float64(seed) / 2.0**32, first, 0.0
+    for k in range(first, last):
+        w = np.float64(weight[k])
+        if w < GRAIN:
+            at += w / GRAIN
+            if at < 1.0:
+                continue
+            at -= 1.0
+            w = GRAIN
+        f.entry[to], f.x[to], f.y[to] = f.entry[k], f.x[k], f.y[k]
+        weight[to] = w
+        got += w
+        to += 1
+    if to == first and last > first:  # one that is too light stands for all
+        got, weight[to] = 1.0, 1.0
+        to += 1
+    for k in range(first, to):
+        weight[k] *= np.float32(total / got)
+    return to
+
+
 @uncounted
-def find_layers(target, width, height, fragments: Fragments, weight, first, clear, empty):
+def find_layers(
+    target, width, height, left_cell, low_cell, fragments: Fragments, weight, first, clear, empty
+):
     """Number the fragments of a tile's cells, in the order of cells; returns how many.
 
     first (H W + 1,) int64: filled, of each cell; weight (F,) float32: of each fragment in its cell, those of hidden
     ones are 0 and they get no number; clear (H, W) float32: what a cell lets through; empty (H, W) uint8: 1 where that
-    is something.
+    is something. left_cell, low_cell: the tile's first cell in the image.
     """
     part, count = target.part, np.int64(0)
     for j in range(height):
@@ -74,9 +107,15 @@ def find_layers(target, width, height, fragments: Fragments, weight, first, clea
                 left = rest
                 k = end
             if left < FULL:
-                for m in range(begin, count):
-                    weight[m] *= np.float32(1.0 / (1.0 - left))
                 left = 0.0
+            count = _thin_out(
+                fragments,
+                weight,
+                begin,
+                count,
+                1.0 - left,
+                pixel_seed(left_cell + i, low_cell + j, np.int64(1)),
+            )
             for m in range(begin, count):
                 fragments.count[m] = max(np.int64(weight[m] * FINE), 1)
             clear[j, i] = left
@@ -87,13 +126,14 @@ def find_layers(target, width, height, fragments: Fragments, weight, first, clea
 
 @uncounted
 def merge_cells(
-    ids, width, height, perspective, footprint, fragments: Fragments, weight, first, largest, seen
+    ids, width, height, left, low, perspective, footprint, fragments: Fragments, weight, first, largest, seen
 ):
     """Merge the fragments of each cell in place, as merge.merge_fragments does; returns how many are left.
 
     first, weight: as find_layers left them, and then of the merged ones. footprint: width of a cell at depth 1
     (perspective) or in metres. largest (F,) int32 to work in. ids (H, W): filled, the fragment that a cell shows most
-    of. seen (F, 2) float32: the place of each in the tile, of a subpixel's first corner.
+    of. seen (F, 2) float32: a place of each in the tile, of a subpixel's first corner.
+    left, low: the tile's first cell in the image.
     """
     f, groups = fragments, np.int64(0)
     for cell in range(height * width):
@@ -122,10 +162,16 @@ def merge_cells(
             if weight[g] > most:
                 best, most = np.int64(g), weight[g]
         ids[cell // width, cell % width] = best
+        # a clump is looked at anywhere in its cell, evenly (Roberts' R2 sequence)
+        x, y = cell % width, cell // width
+        turn = np.float64(pixel_seed(np.int64(left + x), np.int64(low + y), np.int64(0))) / 2.0**32
+        for g in range(own, groups):
+            u, v = turn + (g - own) * 0.7548776662, 7.0 * turn + (g - own) * 0.5698402910
+            seen[g, 0] = x + u - math.floor(u) - 0.5
+            seen[g, 1] = y + v - math.floor(v) - 0.5
     first[height * width] = groups
     for g in range(groups):
         f.count[g] = max(np.int64(weight[g] * OF_CELL + 0.5), 1)
-        seen[g, 0], seen[g, 1] = f.x[g] - np.float32(0.5), f.y[g] - np.float32(0.5)
     unit_normals(f, groups)
     return groups
 
@@ -207,23 +253,31 @@ class AlphaTiles(TracedTiles):
         super().begin(image)
         self.scratch.constants[[PAD, ALL_AREAS]] = CUT * SIGMA, 1.0
         self.target.apart[:] = image.apart
-        self.target.kept[:] = 0
 
     def shade(self, bounds, hierarchy, frame):
         missing = super().shade(bounds, hierarchy, frame)
-        kept, full = self.target.kept.tolist()
-        self.shading.counters.update(layered=kept, joined_layers=full)
-        self.target.kept[:] = 0
+        self.shading.counters.update(layers=self.layers)
         return missing
 
     def _fragments(self, hierarchy) -> int:
         image, width, height = self.image, np.int64(self.width), np.int64(self.height)
+        self.layers = int((self.target.ids[: self.height, : self.width] + 1).sum())
         count = find_layers(
-            self.target, width, height, self.fragments, self.weight, self.first, self.clear, self.empty
+            self.target,
+            width,
+            height,
+            np.int64(self.left),
+            np.int64(self.low),
+            self.fragments,
+            self.weight,
+            self.first,
+            self.clear,
+            self.empty,
         )
         self._fill(hierarchy, count)
         return merge_cells(
-            self.target.ids, width, height, image.view.perspective, np.float64(image.footprint), self.fragments,
+            self.target.ids, width, height, np.int64(self.left), np.int64(self.low),
+            image.view.perspective, np.float64(image.footprint), self.fragments,
             self.weight, self.first, self.largest, self.seen,
         )  # fmt: skip
 
