@@ -19,8 +19,8 @@ from pointmr_engine.forward.targets import put_cut_out, put_ellipse, put_triangl
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH
 
-ROOM = 24  # fragments of a cell; of more, the two that are nearest to each other become one
-SIGMA = 0.5  # cells: of a cell's Gaussian
+ROOM = 24  # fragments of a cell; of more, those that are nearest to each other become one
+SIGMA = 0.3  # cells: of a cell's Gaussian
 CUT = 2.5  # standard deviations at which Gaussians end
 KEPT = 1.0 - math.exp(-0.5 * CUT * CUT)  # of their integral
 EDGE = (
@@ -29,7 +29,7 @@ EDGE = (
 LEAST = 1.0 / 512.0  # coverage, and weight of a surface, that counts
 FULL = 1.0 / 64.0
 CHECK = 0.95  # coverage after which a cell may be full
-APART = 0.75  # cells: surfaces no farther apart in depth are one, as in `merge`
+APART = 0.35  # cells: surfaces no farther apart in depth are one
 FIRM = 0.25  # by so much grows what surfels cover beyond a half: their sums are right to a few per cent only
 PLACES = (
     -1.5424,
@@ -180,19 +180,38 @@ def _look_through(target, j, i):
 
 @device
 def _make_room(target, j, i, n):
-    """Join the two of a cell's n fragments, in order, that are nearest to each other."""
+    """Join those of a cell's n fragments, in order, that are nearest to each other; returns how many are left."""
     part = target.part
-    best, least = np.int64(0), np.float32(np.inf)
-    for k in range(n - 1):
-        gap = part[j, i, k, NEAR] - part[j, i, k + 1, NEAR]
-        if gap < least:
-            best, least = np.int64(k), gap
-    total = part[j, i, best, COVER] + part[j, i, best + 1, COVER]
-    if part[j, i, best + 1, COVER] > part[j, i, best, COVER]:
-        _move(target, j, i, best + 1, best)
-    part[j, i, best, COVER] = total
-    for k in range(best + 1, n - 1):
-        _move(target, j, i, k + 1, k)
+    limit = np.float32(0.25) * (part[j, i, 0, NEAR] - part[j, i, n - 1, NEAR]) / np.float32(n - 1)
+    enough = n - n // 4
+    for attempt in range(3):  # farther apart the second time, and the third time whichever way they face
+        k = to = np.int64(0)
+        while k < n:
+            if k != to:
+                _move(target, j, i, k, to)
+            k += 1
+            if k < n and part[j, i, to, NEAR] - part[j, i, k, NEAR] <= limit:
+                if attempt == 2 or part[j, i, to, SIDE] == part[j, i, k, SIDE]:
+                    _join(target, j, i, to, k)
+                    k += 1
+            to += 1
+        n = to
+        if n <= enough:
+            break
+        limit *= np.float32(4)
+    return min(n, ROOM - 1)
+
+
+@device
+def _join(target, j, i, k, m):
+    """Add a cell's fragment m to its fragment k."""
+    part = target.part
+    c, d = part[j, i, k, COVER], part[j, i, m, COVER]
+    near = (c * part[j, i, k, NEAR] + d * part[j, i, m, NEAR]) / (c + d)
+    half = max(part[j, i, k, HALF], part[j, i, m, HALF])
+    if d > c:
+        _move(target, j, i, m, k)
+    part[j, i, k, NEAR], part[j, i, k, HALF], part[j, i, k, COVER] = near, half, c + d
 
 
 @device
@@ -208,8 +227,7 @@ def _insert(target, j, i, entry, near, half, cover, x, y, solid, side):
     if n == ROOM:
         n = _look_through(target, j, i)
         if n == ROOM:
-            _make_room(target, j, i, n)
-            n -= 1
+            n = _make_room(target, j, i, n)
     target.entry[j, i, n] = entry
     part = target.part
     part[j, i, n, NEAR], part[j, i, n, HALF], part[j, i, n, COVER] = near, half, min(cover, 1.0)
