@@ -1,6 +1,6 @@
 """Visibility of primary cones by subpixel masks and by alpha, side by side: error and processor time.
 
-    python -m benchmarks.multires.visibility [--scenes forest_cut dragon_near gn_trees] [--size 80x60]
+    python -m benchmarks.multires.visibility [--scenes forest dragon_near gn_trees] [--size 80x60]
         [--cones 1 4] [--rounds 5] [--reference-samples 256]
 
 The reference is method `distributed` with other seeds, so that only what cones do differs. Both ways render in turn, in
@@ -18,9 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.forward import scenes
 from benchmarks.judge import size_of
 from benchmarks.metrics import EPSILON, over_backdrop, relative_square
 from benchmarks.report import markdown
+from pointmr_engine import RenderSettings, render
+from pointmr_engine.render import Cache
 
 WAYS = ("masks", "alpha")
 SEED, REFERENCE_SEED = 11, 9001
@@ -28,18 +31,28 @@ COLUMNS = ["scene", "cones", "visibility", "relMSE", "variance", "bias", "mean l
 RATIOS = ["scene", "cones", "error of masks / alpha", "time of masks / alpha"]
 
 
+def forest():
+    """5,000 trees under a sun and an even sky, both with shadows."""
+    scene = scenes.forest(5000).views()[5]
+    scene.lights = [replace(light, cast_shadow=True, angle=0.01) for light in scene.lights]
+    scene.world.visibility = 255
+    return scene
+
+
 def export(name: str, size: tuple[int, int]):
-    """(Scene, RenderSettings) of a subject, in one thread."""
+    """(Scene, RenderSettings) of a subject, or of the forest, in one thread."""
+    if name == "forest":
+        return forest(), RenderSettings(*size, threads=1, passes=("combined",))
     import blender_addon
 
     blender_addon.register()
     import bpy
 
     from benchmarks import methods
-    from benchmarks.multires import scenes
+    from benchmarks.multires.scenes import source as source_of
     from blender_addon import sync
 
-    source = scenes.source(name)
+    source = source_of(name)
     source.load()
     methods.configure(bpy.context.scene, methods.Method("raytrace", 1), 0, size, source.overrides, 1)
     scene = sync.export(bpy.context.evaluated_depsgraph_get())
@@ -48,9 +61,6 @@ def export(name: str, size: tuple[int, int]):
 
 def measure(name: str, o: argparse.Namespace) -> list[dict]:
     """Rows of a scene, a way and number of cones each."""
-    from pointmr_engine import render
-    from pointmr_engine.render import Cache
-
     scene, settings = export(name, o.size)
 
     def image(cache, **values) -> np.ndarray:
@@ -103,7 +113,7 @@ def page(rows: list[dict], command: str) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.multires.visibility")
-    parser.add_argument("--scenes", nargs="+", default=["forest_cut", "dragon_near", "gn_trees"])
+    parser.add_argument("--scenes", nargs="+", default=["forest", "dragon_near", "gn_trees"])
     parser.add_argument("--size", type=size_of, default=(80, 60))
     parser.add_argument("--cones", nargs="+", type=int, default=[1, 4])
     parser.add_argument("--rounds", type=int, default=5)

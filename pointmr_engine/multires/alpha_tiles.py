@@ -14,17 +14,16 @@ from pointmr_engine.multires.a_buffer import (
     AT_X,
     AT_Y,
     COVER,
-    CUT,
     FULL,
     LEAST,
     ROOM,
     SIDE,
-    SIGMA,
     allocate_layers,
     next_surface,
     put_behind,
     sort_cell,
 )
+from pointmr_engine.multires.layer_shapes import CUT, SIGMA
 from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normals
 from pointmr_engine.multires.method import CELL, SUBPIXELS, TracedTiles
 from pointmr_engine.numerics.jit import device, uncounted
