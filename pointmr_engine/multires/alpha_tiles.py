@@ -25,11 +25,10 @@ from pointmr_engine.multires.a_buffer import (
 )
 from pointmr_engine.multires.layer_shapes import CUT, SIGMA
 from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normals
-from pointmr_engine.multires.method import CELL, SUBPIXELS, TracedTiles
+from pointmr_engine.multires.method import CELL, TracedTiles
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 
-CELLS = SUBPIXELS // CELL  # per side of a cone
 OF_CELL = CELL * CELL  # subpixels that a cell stands for: what counts of subpixels go by
 MINOR = 0.15  # of the largest coverage in a surface: fragments with less are left to the others
 GRAIN = 1.0 / 16.0  # of a cell: what weighs less is shaded by chance, in proportion, and then weighs this
@@ -69,8 +68,8 @@ def find_layers(
 ):
     """Number the fragments of a tile's cells, in the order of cells; returns how many.
 
-    first (H W + 1,) int64: filled, of each cell; weight (F,) float32: of each fragment in its cell, those of hidden
-    ones are 0 and they get no number; clear (H, W) float32: what a cell lets through; empty (H, W) uint8: 1 where that
+    first (H W + 1,) int64: filled, of each cell; weight (F,) float32: of each fragment in its cell; hidden ones
+    get no number; clear (H, W) float32: what a cell lets through; empty (H, W) uint8: 1 where that
     is something. left_cell, low_cell: the tile's first cell in the image.
     """
     part, count = target.part, np.int64(0)
