@@ -22,7 +22,10 @@ FULL = 1.0 / 64.0  # a cell that lets less through is full
 LINES = 6  # along which triangles are exact in a row of cells
 CHECK = 0.95  # coverage after which a cell may be full
 APART = 0.35  # cells: surfaces no farther apart in depth are one
-FIRM = 0.25  # by so much grows what surfels cover beyond a half: their sums are right to a few per cent only
+WHOLE = (
+    0.7  # surfels that cover more grow, for their sums are right to some per cent only: what is beyond ...
+)
+FIRM = 1.5  # ... counts so much more
 # of a fragment: nearness at the cell's middle, half its range, coverage, place in the tile, 1 for surfels that are
 # surfaces, and which way it faces: 1, -1, 0 for clumps
 NEAR, HALF, COVER, AT_X, AT_Y, SOLID, SIDE = range(7)
@@ -123,7 +126,7 @@ def next_surface(target, j, i, first, n):
         else:
             one = max(front - back, 0.0) / front
     cover = total - front - back + one * front + other * back
-    cover += FIRM * max(cover - 0.5, 0.0) * solid / total
+    cover += FIRM * max(cover - WHOLE, 0.0) * solid / total
     side = 0.0
     if front + back > 0.5 * total:
         side = 1.0 if front > back else -1.0

@@ -225,8 +225,10 @@ def of(scene, cache=None, **values) -> np.ndarray:
     return render(scene, replace(SETTINGS, **values), cache=cache).passes["combined"].astype(float)
 
 
-def test_a_body_is_whole_inside():
-    scene = Scene(Group("root", [ball(emission("glow"))]), from_above(5.0), [], uniform_world())
+@pytest.mark.parametrize("kind", ["PERSPECTIVE", "ORTHOGRAPHIC"])
+def test_a_body_is_whole_inside(kind):
+    camera = from_above(5.0, kind=kind, ortho_scale=3.0)
+    scene = Scene(Group("root", [ball(emission("glow"))]), camera, [], uniform_world())
     alpha = of(scene, film_transparent=True)[..., 3]
     masks = of(scene, film_transparent=True, raytrace=RaytraceSettings())[..., 3]
     inside = masks == 1.0
