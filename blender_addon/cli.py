@@ -101,6 +101,7 @@ RAYTRACE = {
     "raytrace_cones": ("N", "cones per pixel: 1, 4, 16, 64"),
     "raytrace_footprint": ("X", "size of the smallest detail that is looked at, against a cone's, 0.25 to 4"),
     "raytrace_secondary": ("NAME", "what finds shadows and reflections: cones, rays"),
+    "raytrace_visibility": ("NAME", "how cones from the camera see what is in front: masks, alpha"),
     "raytrace_keep_sets": (None, "keep sample sets on disk for the next run"),
 }
 FORWARD = {

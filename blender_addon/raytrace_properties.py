@@ -32,6 +32,23 @@ SECONDARY = (
 )
 
 
+VISIBILITY = (
+    (
+        "MASKS",
+        "Masks",
+        "A depth buffer of 8 x 8 subpixels in each cone: what hides what is known exactly",
+        0,
+    ),
+    (
+        "ALPHA",
+        "Alpha",
+        "Surfaces in a cone are blended by how much of it each covers, as if they were independent of each other. "
+        "With depth of field, masks are used",
+        1,
+    ),
+)
+
+
 class RaytraceProperties:
     """Mixed into the scene's settings."""
 
@@ -63,6 +80,12 @@ class RaytraceProperties:
         description="What finds shadows, reflections and refractions",
         items=SECONDARY,
         default="CONES",
+    )
+    raytrace_visibility: EnumProperty(
+        name="Visibility",
+        description="How cones from the camera find out what is in front",
+        items=VISIBILITY,
+        default="MASKS",
     )
     raytrace_keep_sets: BoolProperty(
         name="Keep Samples on Disk",

@@ -231,7 +231,7 @@ def _splat(
     counters = render_image(
         image, frame, lambda fraction, tile: clock.tell(fraction, None if tile is None else Tile(*tile))
     )
-    frame.warnings += image.sets.take_warnings()
+    frame.warnings += image.warnings + image.sets.take_warnings()
     return frame, counters, image.needs()
 
 

@@ -114,6 +114,8 @@ def _cones(raytrace: dict) -> str:
     text = f", {count(raytrace['cones'], 'cone')} per pixel"
     if raytrace["footprint"] != 1.0:
         text += f", footprint {raytrace['footprint']:g}"
+    if raytrace["visibility"] != "masks":
+        text += f", visibility {raytrace['visibility']}"
     return text + (", secondary rays" if raytrace["secondary"] == "rays" else "")
 
 

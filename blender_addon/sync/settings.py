@@ -80,6 +80,7 @@ def raytrace_settings(own) -> RaytraceSettings:
         cones=int(own.raytrace_cones),
         footprint=own.raytrace_footprint,
         secondary=own.raytrace_secondary.lower(),
+        visibility=own.raytrace_visibility.lower(),
         cache_folder=preferences.sample_folder() if own.raytrace_keep_sets else None,
     )
 

@@ -19,6 +19,7 @@ class POINTMR_RENDER_PT_raytrace(PointMRPanel, Panel):
         layout = split_layout(self)
         layout.prop(settings, "raytrace_footprint")
         layout.row().prop(settings, "raytrace_secondary", text="Reflections", expand=True)
+        layout.row().prop(settings, "raytrace_visibility", expand=True)
         layout.prop(settings, "raytrace_keep_sets")
 
 

@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.cut_out_cover import cover_cut_out, cut_out_of  # noqa: F401
+from pointmr_engine.forward.cut_out_cover import cut_out_of  # noqa: F401
 from pointmr_engine.forward.draw import draw_triangle, to_target
 from pointmr_engine.forward.opacity_classes import lattice, opacity_classes
+from pointmr_engine.forward.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.surface import points_at
@@ -109,7 +110,7 @@ def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_out
     x0, y0, w0 = to_target(view, corners[0, 0], corners[0, 1], corners[0, 2])
     x1, y1, w1 = to_target(view, corners[1, 0], corners[1, 1], corners[1, 2])
     x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
-    return cover_cut_out(
+    return put_cut_out(
         target, width, height, view.perspective, (x0 - left, x1 - left, x2 - left), (y0 - low, y1 - low, y2 - low),
         (w0, w1, w2), entry, cut_outs.opacity, mask, phase,
     )  # fmt: skip

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.subpixels import cover_ellipse, cover_triangle
 from pointmr_engine.forward.surfel_lanes import (
     COFACTORS,
     DEPTH_SCALE,
@@ -26,6 +25,7 @@ from pointmr_engine.forward.surfel_lanes import (
     PERSPECTIVE,
     PZ,
     RADIUS,
+    SEEN,
     SHIFT_X,
     SHIFT_Y,
     SLOPE_X,
@@ -40,6 +40,7 @@ from pointmr_engine.forward.surfel_lanes import (
     place_eight,
     shape_eight,
 )
+from pointmr_engine.forward.targets import put_ellipse, put_triangle
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
 from pointmr_engine.numerics.simd_cover import count_open, is_open
@@ -213,9 +214,10 @@ def _draw_chunk(target, width, height, lanes, address, node, row, chunk, first, 
         # by node and place in its set, so that a sample more elsewhere changes nothing here
         phase = ((61 * node + start + k - first) * np.int64(40503)) >> np.int64(7)
         counters[DRAWN] += 1
-        if cover_ellipse(
+        if put_ellipse(
             target, width, height, lanes[SX, k], lanes[SY, k], lanes[A, k], lanes[B, k], lanes[C, k],
-            lanes[NEARNESS, k], lanes[SLOPE_X, k], lanes[SLOPE_Y, k], used, lanes[OPACITY, k], phase & np.int64(63),
+            lanes[NEARNESS, k], lanes[SLOPE_X, k], lanes[SLOPE_Y, k], used, lanes[OPACITY, k], lanes[SEEN, k],
+            phase & np.int64(63),
         ):  # fmt: skip
             entries.surfel[used] = 2 * (start + k) + (
                 np.int64(1) if lanes[OPACITY, k] < np.float32(1) else np.int64(0)
@@ -252,7 +254,7 @@ def draw_triangle(view, target, width, height, left, low, corners, entry):
         x0, y0, w0 = to_target(view, corners[0, 0], corners[0, 1], corners[0, 2])
         x1, y1, w1 = to_target(view, corners[1, 0], corners[1, 1], corners[1, 2])
         x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
-        return cover_triangle(
+        return put_triangle(
             target,
             width,
             height,
@@ -286,7 +288,7 @@ def draw_triangle(view, target, width, height, left, low, corners, entry):
             if count == 0:
                 fx, fy, fw = sx, sy, w
             elif count >= 2:
-                if cover_triangle(target, width, height, (fx, bx, sx), (fy, by, sy), (fw, bw, w), entry):
+                if put_triangle(target, width, height, (fx, bx, sx), (fy, by, sy), (fw, bw, w), entry):
                     written = True
             bx, by, bw = sx, sy, w
             count += 1

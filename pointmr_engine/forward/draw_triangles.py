@@ -6,7 +6,6 @@ import numpy as np
 
 from pointmr_engine.forward.cut_outs import cut_out_of, draw_cut_out
 from pointmr_engine.forward.draw import box_is_behind, draw_triangle, triangle_to_camera
-from pointmr_engine.forward.subpixels import cover_triangle
 from pointmr_engine.forward.surfel_lanes import (
     CORNER_FRONT,
     CORNER_SMALL,
@@ -15,6 +14,7 @@ from pointmr_engine.forward.surfel_lanes import (
     CORNER_Y,
     corners_eight,
 )
+from pointmr_engine.forward.targets import put_triangle
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
 
@@ -70,7 +70,7 @@ def draw_triangles(
                 np.float64(lanes[CORNER_W + 1, k]),
                 np.float64(lanes[CORNER_W + 2, k]),
             )
-            if cover_triangle(target, width, height, x, y, w, used):
+            if put_triangle(target, width, height, x, y, w, used):
                 entries.surfel[used] = -1 - (2 * (start + k) + lump)
                 entries.row[used] = row
                 used += 1

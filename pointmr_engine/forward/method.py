@@ -97,6 +97,8 @@ class Sampler:
 class Image:
     """One image: everything that its tiles share."""
 
+    warnings: list[str] = []  # what was asked for and could not be had
+
     def __init__(self, sampler: Sampler, scene: Scene, camera: CameraArrays, settings: RenderSettings):
         self.sampler, self.camera, self.settings = sampler, camera, settings
         options = settings.forward

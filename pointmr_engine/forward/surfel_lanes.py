@@ -26,16 +26,17 @@ SURFACE, CLUMP = (
 DENSE = 1.5  # a clump's surfaces overlap less than chance would have it
 FLAT, ROUND = 0.95, 0.5  # mean normals of this length count as one direction, as all directions
 
-# the constants of a set
+# the constants of a set. The last two belong to the target, 0 for subpixels: by how much subpixels see beyond their
+# sides, and whether triangles between their centres matter
 (
     MIDDLE, MATRIX, COFACTORS, GROW, FOCAL_X, FOCAL_Y, SHIFT_X, SHIFT_Y, WIDTH_OF_TILE, HEIGHT_OF_TILE, NEAR, FAR,
-    PERSPECTIVE, DEPTH_SHIFT, DEPTH_SCALE, STRETCH,
-) = 0, 3, 15, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35, 36  # fmt: skip
+    PERSPECTIVE, DEPTH_SHIFT, DEPTH_SCALE, STRETCH, PAD, ALL_AREAS,
+) = 0, 3, 15, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35, 36, 37, 38  # fmt: skip
 CONSTANTS = 40
 
 # rows of eight that `place_eight` and `shape_eight` leave behind
-PX, PY, PZ, SX, SY, NEARNESS, RADIUS, FRONT, A, B, C, SLOPE_X, SLOPE_Y, OPACITY = range(14)
-LANE_ROWS = 14
+PX, PY, PZ, SX, SY, NEARNESS, RADIUS, FRONT, A, B, C, SLOPE_X, SLOPE_Y, OPACITY, SEEN = range(15)
+LANE_ROWS = 15
 
 
 @intrinsic
@@ -74,7 +75,7 @@ def place_eight(typingctx, rows, first, constants, out):
         focal = constant(FOCAL_X).abs().at_least(constant(FOCAL_Y).abs())
         # perspective makes what is off the view axis longer, along x by sqrt(1 + (x / z)^2)
         off = (p[0] * scale).abs().at_least((p[1] * scale).abs()).where(perspective, 0.0)
-        radius = size * focal * scale.abs() * (t.constant(1.0) + off * off).sqrt()
+        radius = constant(PAD).plus_product(size * focal * scale.abs(), (t.constant(1.0) + off * off).sqrt())
         front = p[2] - size
         near = constant(NEAR)
         nearness = (
@@ -106,10 +107,11 @@ def place_eight(typingctx, rows, first, constants, out):
 
 @intrinsic
 def shape_eight(typingctx, rows, first, constants, out):
-    """Ellipses of the surfels that `place_eight` has placed: fills A to OPACITY.
+    """Ellipses of the surfels that `place_eight` has placed: fills A to SEEN.
 
     A, B, C: the matrix [[a, b], [b, c]] whose inverse's unit level is the outline, in subpixels^2; SLOPE_*: growth of
-    nearness per subpixel; OPACITY: share of the outline's subpixels to be drawn, 1 or more: all.
+    nearness per subpixel; OPACITY: share of the outline's subpixels to be drawn, 1 or more: all. SEEN: area that
+    the piece covers, subpixels^2, less than 0 where the image shows its corners clockwise.
     """
     i = types.int64
 
@@ -159,7 +161,8 @@ def shape_eight(typingctx, rows, first, constants, out):
         # the piece's area in the image: exact for flat ones, half for those that face all directions
         seen = kx * ky * (flat * facing.abs() * scale + round_ * constant(GROW) * 0.5)
         det = (s_xx * s_yy - s_xy * s_xy).at_least(1e-30)
-        ratio = column(AREA) * seen.abs() / (det.sqrt() * (4.0 * math.pi))
+        disk, area = det.sqrt() * (4.0 * math.pi), column(AREA) * seen.abs()
+        ratio = area / disk
         # how much the piece is a surface, however curved, and not a clump: by its extent across (science 6.1: macro
         # and micro)
         minor = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
@@ -172,6 +175,8 @@ def shape_eight(typingctx, rows, first, constants, out):
         series = t.constant(1.0) + thick * (t.constant(1.0) + thick * (t.constant(0.5) + thick * series))
         covered = t.constant(1.0) - t.constant(1.0) / series
         opacity = solid * (ratio * SOLID).at_most(2.0) + (t.constant(1.0) - solid) * covered
+        shown = solid * area + (t.constant(1.0) - solid) * covered * disk
+        shown = shown.where((facing * kx * ky) > 0.0, t.constant(0.0) - shown)
         unit = t.constant(1.0).where(perspective, constant(DEPTH_SCALE))
         safe = facing.where(builder.and_(facing.abs() > 1e-30, solid > 0.5), 3e38)
         slope_x, slope_y = unit * g[0] / (safe * constant(FOCAL_X)), unit * g[1] / (safe * constant(FOCAL_Y))
@@ -189,6 +194,7 @@ def shape_eight(typingctx, rows, first, constants, out):
             (SLOPE_X, slope_x * damp),
             (SLOPE_Y, slope_y * damp),
             (OPACITY, opacity),
+            (SEEN, shown),
         ):
             t.store(term, target, row)
         return context.get_dummy_value()
@@ -238,9 +244,11 @@ def corners_eight(typingctx, corners, first, constants, out):
         x0, x1 = xs[0].at_most(xs[1]).at_most(xs[2]), xs[0].at_least(xs[1]).at_least(xs[2])
         y0, y1 = ys[0].at_most(ys[1]).at_most(ys[2]), ys[0].at_least(ys[1]).at_least(ys[2])
         # centres of columns and rows that the bounds reach
+        areas = constant(ALL_AREAS) > 0.5
         columns = ((x1 - 0.5)._unary("floor") - (x0 - 0.5)._unary("ceil")) > -0.5
         lines = ((y1 - 0.5)._unary("floor") - (y0 - 0.5)._unary("ceil")) > -0.5
-        seen = builder.and_(builder.and_(columns, lines), builder.and_(x1 > 0.0, y1 > 0.0))
+        seen = builder.or_(areas, builder.and_(columns, lines))
+        seen = builder.and_(seen, builder.and_(x1 > 0.0, y1 > 0.0))
         seen = builder.and_(seen, builder.and_(x0 < constant(WIDTH_OF_TILE), y0 < constant(HEIGHT_OF_TILE)))
         for v in range(3):
             t.store(xs[v], target, CORNER_X + v)

@@ -33,7 +33,7 @@ class Workspace:
 
     def __init__(self, image):
         side = (image.tile + 2 * image.apron) * image.subpixels
-        self.target = allocate_target(side, side)
+        self.target = self.target_of(image, side)
         self.scratch = Scratch(self.target)
         self.fragments = allocate_fragments(side * side)  # at most; untouched pages cost nothing
         self.fragment_of = np.empty(1 << 16, np.int32)
@@ -53,6 +53,11 @@ class Workspace:
     def cell_of(image) -> int:
         """Subpixels per side of the cells in each of which a large triangle has a fragment of its own: a pixel."""
         return image.subpixels
+
+    @staticmethod
+    def target_of(image, side: int):
+        """What tiles are drawn into: `side` subpixels square."""
+        return allocate_target(side, side)
 
     def begin(self, image) -> None:
         """Turn to another image, for which these buffers fit (method.Image.fits)."""

@@ -20,7 +20,6 @@ from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones,
 from pointmr_engine.multires.scatter import STRONG, keep_lobes, restore_lobes, scatter_lobes, share_with_lobes
 from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
 from pointmr_engine.multires.world_sharing import (
-    REACH,
     allocate_shares,
     begin_shares,
     count_rays,
@@ -147,7 +146,7 @@ class ConePaths(EdgePaths):
         if self.heads.shape != shape:
             self.heads = np.empty(shape, np.int32)
         share_light(
-            f.x, f.y, np.int64(image.subpixels), REACH, self.shares, np.int64(count),
+            f.x, f.y, np.int64(image.subpixels), np.float64(image.reach), self.shares, np.int64(count),
             self.heads, self.after, space.light,
         )  # fmt: skip
 

@@ -41,7 +41,8 @@ def mergeable(f: Fragments, g, k, footprint):
 
 
 @device
-def _copy(f: Fragments, g, k):
+def copy_fragment(f: Fragments, g, k):
+    """Fragment g becomes what fragment k is."""
     f.entry[g], f.x[g], f.y[g], f.count[g] = f.entry[k], f.x[k], f.y[k], f.count[k]
     f.part[g], f.triangle[g], f.row[g] = f.part[k], f.triangle[k], f.row[k]
     f.place[g, 0], f.place[g, 1] = f.place[k, 0], f.place[k, 1]
@@ -71,6 +72,18 @@ def join(f: Fragments, g, k, largest):
         f.geometric[g, c] += s * (f.geometric[k, c] - f.geometric[g, c])
         f.albedo[g, c] += s * (f.albedo[k, c] - f.albedo[g, c])
         f.emission[g, c] += s * (f.emission[k, c] - f.emission[g, c])
+
+
+@device
+def unit_normals(f: Fragments, count):
+    """Geometric normals of fragments 0..count to unit length."""
+    for g in range(count):
+        square = np.float32(0)
+        for c in range(3):
+            square += f.geometric[g, c] ** 2
+        inverse = np.float32(1) / np.sqrt(square) if square > 0 else np.float32(0)
+        for c in range(3):
+            f.geometric[g, c] *= inverse
 
 
 @uncounted
@@ -125,7 +138,7 @@ def merge_fragments(
                         into[k] = found
                     else:
                         if groups != k:
-                            _copy(f, groups, k)
+                            copy_fragment(f, groups, k)
                         largest[groups] = f.count[groups]
                         into[k] = groups
                         groups += 1
@@ -134,11 +147,5 @@ def merge_fragments(
             k = np.int64(ids[y, x])
             if k >= 0:
                 ids[y, x] = into[k]
-    for g in range(groups):
-        square = np.float32(0)
-        for c in range(3):
-            square += f.geometric[g, c] ** 2
-        inverse = np.float32(1) / np.sqrt(square) if square > 0 else np.float32(0)
-        for c in range(3):
-            f.geometric[g, c] *= inverse
+    unit_normals(f, groups)
     return groups

@@ -28,12 +28,12 @@ DENSITY = 4.0  # samples per cone's footprint
 FRAGMENTS = 4  # of a cone, about: what one ray of a fragment's lobes stands for
 
 
-def primary_settings(settings: RenderSettings) -> RenderSettings:
-    """The same settings with the forward mapping of the primary cones."""
+def primary_settings(settings: RenderSettings, alpha: bool) -> RenderSettings:
+    """The same settings with the forward mapping of the primary cones; alpha: a subpixel is a whole cell."""
     chosen = settings.raytrace
     side = math.isqrt(chosen.cones)
     forward = ForwardSettings(
-        subpixels=SUBPIXELS * side,
+        subpixels=(SUBPIXELS // CELL if alpha else SUBPIXELS) * side,
         samples_per_pixel=DENSITY * chosen.cones / chosen.footprint**2,
         shadows=False,
         cache_folder=chosen.cache_folder,
@@ -47,13 +47,17 @@ class TracedImage(Image):
     def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
         self.stage = stage
         self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
-        super().__init__(sampler, scene, stage.camera, primary_settings(settings))
-        if self.light is not None and self.light.shares_world:
-            # what pixels at the tile's edge share must be there, too: taps of no weight
-            beside = math.ceil(REACH / self.subpixels)
-            self.taps = np.pad(self.taps, beside * self.subpixels)
-            self.apron += beside
+        alpha = settings.raytrace.visibility == "alpha"
+        if alpha and stage.needs.lens:
+            alpha = False
+            self.warnings = ["visibility by alpha knows no depth of field: subpixel masks are used instead"]
+        super().__init__(sampler, scene, stage.camera, primary_settings(settings, alpha))
         side = math.isqrt(settings.raytrace.cones)
+        # pixels about the tile that its own share light with: taps of no weight
+        self.beside = math.ceil(REACH / side) if self.light is not None and self.light.shares_world else 0
+        self.taps = np.pad(self.taps, self.beside * self.subpixels)
+        self.apron += self.beside
+        self.reach = REACH * self.subpixels / side
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.hardly = 0.0
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
@@ -63,6 +67,10 @@ class TracedImage(Image):
             from pointmr_engine.multires.lens_tiles import split_lens
 
             split_lens(self)
+        if alpha:
+            from pointmr_engine.multires.alpha_tiles import use_alpha
+
+            use_alpha(self)
 
     def choose_shading(self):
         return TracedShading(self)

@@ -17,7 +17,7 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 from pointmr_engine.shading.bsdf.vector import row3
 
-REACH = 16.0  # subpixels, two cones: how far apart fragments share
+REACH = 2.0  # cones: how far apart fragments share
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 

@@ -30,6 +30,7 @@ SUBPIXELS = (2, 4, 8)
 SAMPLES_PER_PIXEL = (0.05, 64.0)
 CONES = (1, 4, 16, 64)
 SECONDARY = ("cones", "rays")
+VISIBILITY = ("masks", "alpha")
 FOOTPRINT = (0.25, 4.0)
 
 
@@ -96,17 +97,19 @@ class RaytraceSettings:
     cones: per pixel; each is narrower by as much, so that the error falls towards zero with their number.
     footprint: factor of the size of the details that samples are taken for; below 1 finer levels are used.
     secondary: shadows, reflections and refractions by "cones" or by the exact random "rays" of method "distributed".
+    visibility: what primary cones see by subpixel "masks", or by lists of coverages that are blended by "alpha".
     cache_folder: where sample sets are kept between runs; None: nowhere.
     """
 
     cones: int = 1
     footprint: float = 1.0
     secondary: str = "cones"
+    visibility: str = "masks"
     cache_folder: str | None = None
 
     def validate(self) -> None:
         """Raise SceneError for a value that no render could honour, naming its field."""
-        for name, choices in (("cones", CONES), ("secondary", SECONDARY)):
+        for name, choices in (("cones", CONES), ("secondary", SECONDARY), ("visibility", VISIBILITY)):
             value = getattr(self, name)
             if value not in choices:
                 raise SceneError(f"raytrace.{name} = {value!r} is not one of {', '.join(map(str, choices))}")

@@ -179,12 +179,22 @@ def test_options_of_raytracing_reach_the_engine(blend, tmp_path, asked, capfd):
     """Every property but the viewport's has its option; the summary says what was asked for and what was needed."""
     start = ["render", str(blend), "-o", str(tmp_path / "a.exr"), "--size", "24x16", "--method", "raytrace"]
     stats = tmp_path / "stats.json"
-    typed = ["--cones", "16", "--footprint", "0.5", "--secondary", "rays", "--keep-sets"]
+    typed = [
+        "--cones",
+        "16",
+        "--footprint",
+        "0.5",
+        "--secondary",
+        "rays",
+        "--visibility",
+        "alpha",
+        "--keep-sets",
+    ]
     assert main([*start, *typed, "--stats", str(stats)]) == 0
     out, _ = capfd.readouterr()
     assert asked[0].method == "raytrace" and asked[0].raytrace.cache_folder
-    assert replace(asked[0].raytrace, cache_folder=None) == RaytraceSettings(16, 0.5, "rays")
-    assert "24x16, raytrace, 16 cones per pixel, footprint 0.5, secondary rays" in out
+    assert replace(asked[0].raytrace, cache_folder=None) == RaytraceSettings(16, 0.5, "rays", "alpha")
+    assert "24x16, raytrace, 16 cones per pixel, footprint 0.5, visibility alpha, secondary rays" in out
     assert "  needed: shadows, sets 3, passes (depth)\n  not needed: reflections, lens\n" in out
     [frame] = json.loads(stats.read_text())["frames"]
     assert frame["stats"]["needs"] == {
@@ -258,7 +268,17 @@ def test_a_batchs_processes_get_all_options(blend, tmp_path, monkeypatch):
         "forward_backface_culling": True,
     }
     commands.clear()
-    typed = ["--cones", "4", "--footprint", "2", "--secondary", "rays", "--no-keep-sets"]
+    typed = [
+        "--cones",
+        "4",
+        "--footprint",
+        "2",
+        "--secondary",
+        "rays",
+        "--visibility",
+        "alpha",
+        "--no-keep-sets",
+    ]
     start[start.index("forward")] = "raytrace"
     assert main([*start, *typed, "--jobs", "2"]) == 0
     worker = build_parser().parse_args(commands[0][commands[0].index("render") :])
@@ -267,6 +287,7 @@ def test_a_batchs_processes_get_all_options(blend, tmp_path, monkeypatch):
         "raytrace_cones": "4",
         "raytrace_footprint": "2",
         "raytrace_secondary": "rays",
+        "raytrace_visibility": "alpha",
         "raytrace_keep_sets": False,
     }
 

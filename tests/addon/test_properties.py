@@ -48,6 +48,7 @@ def test_enum_items_have_fixed_numbers():
         numbers("raytrace_cones") == numbers("raytrace_preview_cones") == {"1": 1, "4": 4, "16": 16, "64": 64}
     )
     assert numbers("raytrace_secondary") == {"CONES": 0, "RAYS": 1}
+    assert numbers("raytrace_visibility") == {"MASKS": 0, "ALPHA": 1}
     assert numbers("pixel_filter_type") == {"BOX": 0, "GAUSSIAN": 1, "BLACKMAN_HARRIS": 2}
     assert numbers("forward_sampling") == {"STATIC": 0, "DYNAMIC": 1}
     assert numbers("forward_draws") == {"RANDOM": 0, "STRATIFIED": 1, "POISSON": 2}
@@ -134,7 +135,12 @@ def test_every_property_of_forward_mapping_reaches_the_engine(name, value, expec
 
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
-    [("cones", "16", 16), ("footprint", 0.5, 0.5), ("secondary", "RAYS", "rays")],
+    [
+        ("cones", "16", 16),
+        ("footprint", 0.5, 0.5),
+        ("secondary", "RAYS", "rays"),
+        ("visibility", "ALPHA", "alpha"),
+    ],
 )
 def test_every_property_of_raytracing_reaches_the_engine(name, value, expected):
     from blender_addon import sync

@@ -51,7 +51,9 @@ def test_image_is_that_of_many_rays(scene, tmp_path):
     assert coverage[1] < coverage[0] < 1e-3
 
 
-@pytest.mark.parametrize(("name", "value"), [("footprint", 4.0), ("secondary", "RAYS")])
+@pytest.mark.parametrize(
+    ("name", "value"), [("footprint", 4.0), ("secondary", "RAYS"), ("visibility", "ALPHA")]
+)
 def test_settings_change_the_image_a_little(scene, tmp_path, name, value):
     before = combined(render(scene, tmp_path / "before.exr"))
     setattr(scene.pointmr, f"raytrace_{name}", value)

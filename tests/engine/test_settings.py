@@ -41,6 +41,7 @@ def test_forward_settings(name, good, bad):
         ("cones", [1, 4, 16, 64], [0, 2, 32, 256, -1, "4", None]),
         ("footprint", [0.25, 1.0, 4.0], [0.0, 0.249, 4.01, -1.0, math.nan, math.inf]),
         ("secondary", ["cones", "rays"], ["", "Cones", "ray", None]),
+        ("visibility", ["masks", "alpha"], ["", "Masks", "mask", None]),
         ("cache_folder", [None, "sets"], ["", 3]),
     ],
 )
