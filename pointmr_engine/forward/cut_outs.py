@@ -42,7 +42,7 @@ def no_cut_outs(parts: int) -> CutOuts:
 
 def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts]:
     """The cut-outs of all parts whose materials let light through: by their mean opacity, and by that of the channel
-    that they block most, for methods whose rays pass what goes through the others (`keep_coloured`).
+    that they block most, for methods whose rays pass what goes through the others (Image.choose_cut_outs).
     """
     first = np.full(len(geometry.parts), -1, np.int64)
     masks, sources = [], []
