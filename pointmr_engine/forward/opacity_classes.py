@@ -61,6 +61,11 @@ def lattice(side: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(side)
     v, u = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
     u, v = ((a + rng.random((count, side, side), np.float32)) / np.float32(side) for a in (u, v))
+    return _into_triangle(u, v)
+
+
+def _into_triangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the unit square in the triangle u + v <= 1: what lies beyond its edge is turned into it."""
     outside = u + v > 1.0
     return np.where(outside, 1.0 - u, u), np.where(outside, 1.0 - v, v)
 
@@ -83,8 +88,7 @@ def _led(triangles: np.ndarray, classes: np.ndarray, opacity: Opacity) -> tuple[
     """`opacity_classes` of triangles that vary alike within their classes: each follows a leader it agrees with."""
     n = len(triangles)
     rng = np.random.default_rng(n)
-    u, v = rng.random((2, n, LOOKS))
-    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+    u, v = _into_triangle(*rng.random((2, n, LOOKS)))
     own = opacity(np.repeat(triangles, LOOKS), u.ravel(), v.ravel()).reshape(n, LOOKS, 2)
     i, j = (np.minimum((a * SIDE).astype(np.int64), SIDE - 1) for a in (u, v))
     leader, todo = np.arange(n), np.arange(n)

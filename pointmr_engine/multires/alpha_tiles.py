@@ -24,7 +24,7 @@ from pointmr_engine.multires.a_buffer import (
     sort_cell,
 )
 from pointmr_engine.multires.layer_shapes import CUT, SIGMA
-from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normals
+from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normal
 from pointmr_engine.multires.method import CELL, TracedTiles
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed
@@ -170,7 +170,7 @@ def merge_cells(
     first[height * width] = groups
     for g in range(groups):
         f.count[g] = max(np.int64(weight[g] * OF_CELL + 0.5), 1)
-    unit_normals(f, groups)
+        unit_normal(f, g)
     return groups
 
 

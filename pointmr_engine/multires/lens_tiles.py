@@ -27,7 +27,7 @@ from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import Scratch, walk
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lens import LensView, confusion, make_views, sharpest, views_per_side
-from pointmr_engine.multires.merge import join, mergeable
+from pointmr_engine.multires.merge import join, mergeable, unit_normal
 from pointmr_engine.multires.method import TracedShading, TracedTiles
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import CAMERA
@@ -80,13 +80,7 @@ def merge_views(order, key, perspective, footprint, f: Fragments, count, into, l
             into[k] = groups
             groups += 1
     for n in range(groups):
-        g = kept[n]
-        square = np.float32(0)
-        for c in range(3):
-            square += f.geometric[g, c] ** 2
-        inverse = np.float32(1) / np.sqrt(square) if square > 0 else np.float32(0)
-        for c in range(3):
-            f.geometric[g, c] *= inverse
+        unit_normal(f, kept[n])
     return groups
 
 

@@ -75,15 +75,14 @@ def join(f: Fragments, g, k, largest):
 
 
 @device
-def unit_normals(f: Fragments, count):
-    """Geometric normals of fragments 0..count to unit length."""
-    for g in range(count):
-        square = np.float32(0)
-        for c in range(3):
-            square += f.geometric[g, c] ** 2
-        inverse = np.float32(1) / np.sqrt(square) if square > 0 else np.float32(0)
-        for c in range(3):
-            f.geometric[g, c] *= inverse
+def unit_normal(f: Fragments, g):
+    """Geometric normal of fragment g to unit length."""
+    square = np.float32(0)
+    for c in range(3):
+        square += f.geometric[g, c] ** 2
+    inverse = np.float32(1) / np.sqrt(square) if square > 0 else np.float32(0)
+    for c in range(3):
+        f.geometric[g, c] *= inverse
 
 
 @uncounted
@@ -147,5 +146,6 @@ def merge_fragments(
             k = np.int64(ids[y, x])
             if k >= 0:
                 ids[y, x] = into[k]
-    unit_normals(f, groups)
+    for g in range(groups):
+        unit_normal(f, g)
     return groups
