@@ -3,7 +3,8 @@
 What a clump's samples know of it, the distribution of its normals, gives the light that would reach it unhindered (B),
 without noise. Whether it does is asked at one visible point of each, but the normal there is one of many, and what
 hides a point has to do with how it faces. So the two meet as a ratio in each pixel: sum(B) * sum(U V) / sum(U), where U
-is the unhindered light of the visible points, and V what arrives of it.
+is the unhindered light of the visible points, and V what arrives of it. That is for light that is scattered
+diffusely; of the rest, B is U.
 """
 
 from __future__ import annotations

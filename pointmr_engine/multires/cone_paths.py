@@ -204,8 +204,13 @@ class ConePaths(EdgePaths):
         others[clumps.row] = False
         lobes.count[:n][others] = 0
         at_points = [self._unhindered(lamps, self.ones_f, n) for _, lamps in self.light.each]
+        # what glitters says nothing of a distribution's mean normal: of that, B is U
+        matt = [lamps._replace(visibility=lamps.visibility & DIFFUSE) for _, lamps in self.light.each]
+        glossy = [u - self._unhindered(lamps, self.ones_f, n) for u, lamps in zip(at_points, matt, strict=True)]
         swap_normals(lobes, self.view.incoming, clumps.row, clumps.normal, self.swapped)
-        spread_out = [self._unhindered(lamps, self.flat, n) for _, lamps in self.light.each]
+        spread_out = [
+            self._unhindered(lamps, self.flat, n) + g for lamps, g in zip(matt, glossy, strict=True)
+        ]
         restore_normals(lobes, clumps.row, self.swapped)
         lobes.count[:n] = kept
         self.flat[clumps.row] = 1.0

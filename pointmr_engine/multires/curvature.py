@@ -51,11 +51,11 @@ def spread_of_curvature(tables, hits, width, rows, count, spread):
         for r in range(3):
             for c in range(3):
                 scale += m[r, c] * m[r, c] / 3.0
-        bend = max(
-            _bend(tables, p, t, 0.0, 0.0, 1.0, 0.0, scale),
-            _bend(tables, p, t, 0.0, 0.0, 0.0, 1.0, scale),
-            _bend(tables, p, t, 1.0, 0.0, 0.0, 1.0, scale),
-        )
+        # variance is that of the mean direction: most curved surfaces bend about one axis
+        bend = 0.0
+        for e in range(3):
+            u, v = (1.0 if e == 0 else 0.0), (1.0 if e == 1 else 0.0)
+            bend += _bend(tables, p, t, u, v, v, 1.0 - u - v, scale) / 3.0
         variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0
         if variance > FLATTEST:
             spread[k] = min(variance, 2.0)

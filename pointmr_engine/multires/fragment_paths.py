@@ -16,7 +16,6 @@ from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.clumps import FLATNESS, Clumps
 from pointmr_engine.multires.curvature import spread_of_curvature
-from pointmr_engine.multires.looks import look_where_seen
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
 from pointmr_engine.raytracing import paths, walk
@@ -190,11 +189,7 @@ class FragmentPaths(Workspace):
             return
         hits, frame, camera_rays = self.hits, self.frames, now.rays
         rays, seen = allocate_rays(len(rows)), allocate_hits(len(rows))
-        image = space.image
-        look_where_seen(
-            image.view, np.int64(space.left), np.int64(space.low), image.camera.world_from_camera, space.fragments,
-            np.int64(first), rows, space.seen, camera_rays.direction, rays,
-        )  # fmt: skip
+        space.look(first, rows, camera_rays.direction, rays)
         rays.visibility[:] = CAMERA
         rays.skip_triangle[:] = -1
         self._look(now, rows, rays, seen)

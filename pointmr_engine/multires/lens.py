@@ -119,6 +119,27 @@ def make_views(camera: CameraArrays, view: View, subpixels: int, side: int) -> l
     return found
 
 
+class LensRays(NamedTuple):
+    """The views' rays, as arrays."""
+
+    of: np.ndarray  # (V, V) int32: number of the view that has the subpixels of this row and column, modulo V
+    shift: np.ndarray  # (V * V, 2) float64: View.shift_x, shift_y
+    world_from_camera: np.ndarray  # (V * V, 3, 4) float64
+
+
+def lens_rays(views: list[LensView]) -> LensRays:
+    """What looks through single subpixels need of the views of an image."""
+    side = math.isqrt(len(views))
+    of = np.empty((side, side), np.int32)
+    for k, view in enumerate(views):
+        of[view.row, view.column] = k
+    return LensRays(
+        of,
+        np.array([[v.view.shift_x, v.view.shift_y] for v in views]),
+        np.stack([v.camera.world_from_camera for v in views]),
+    )
+
+
 def _dealt(k: int, side: int) -> tuple[int, int]:
     """The k-th cell of side x side (a power of two) in the order of an ordered dither: successive ones lie apart."""
     x = y = 0

@@ -26,8 +26,9 @@ from pointmr_engine.forward.tiles import WAITING
 from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import Scratch, walk
 from pointmr_engine.multires.fragment_paths import BATCH
-from pointmr_engine.multires.lens import LensView, confusion, make_views, sharpest, views_per_side
-from pointmr_engine.multires.merge import join, mergeable, unit_normal
+from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
+from pointmr_engine.multires.looks import look_through_lens
+from pointmr_engine.multires.merge import choose_seen, join, mergeable, unit_normal
 from pointmr_engine.multires.method import TracedShading, TracedTiles
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import CAMERA
@@ -130,6 +131,7 @@ def split_lens(image) -> None:
         return
     image.views = make_views(image.camera, image.view, image.subpixels, side)
     image.side = side
+    image.lens_rays = lens_rays(image.views)
     image.sharpest = sharpest(image.sampler.programs)
     image.seen = []
     for view in image.views:
@@ -151,6 +153,7 @@ class LensTiles(TracedTiles):
         self.scratch.entries = Entries(np.empty(n, np.int64), np.empty(0, np.int32))
         self.found = allocate_fragments(n)
         self.seen = np.empty((0, 2), np.int32)  # the views see a fragment in different subpixels
+        self.shown = np.empty((n, 2), np.int32)
         self.of_view = np.empty(n, np.int32)
         self.kept = np.empty(n, np.int64)
         self.own_values = allocate_placement_values(0)
@@ -280,14 +283,28 @@ class LensTiles(TracedTiles):
             order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.largest,
             self.kept,
         )  # fmt: skip
+        renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
+        choose_seen(
+            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
+            np.int64(count), self.largest, self.shown,
+        )  # fmt: skip
         chosen = self.kept[:count]
         for old, new in zip(f, self.fragments, strict=True):
             new[:count] = old[chosen]
-        renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
         of, start = np.unique(key[chosen] >> 33, return_index=True)
         stop = [*start[1:].tolist(), count][: len(of)]
         self.parts = list(zip(start.tolist(), stop, (of - 1).tolist(), strict=True))
         return count
+
+    def look(self, first: int, rows: np.ndarray, direction: np.ndarray, rays) -> None:
+        image = self.image
+        if not image.view.perspective:
+            super().look(first, rows, direction, rays)
+            return
+        look_through_lens(
+            image.view, image.lens_rays, np.int64(self.left), np.int64(self.low), np.int64(first), rows, self.shown,
+            direction, rays,
+        )  # fmt: skip
 
     def _add_sky(self, seen: LensView) -> None:
         """Add the world's radiance behind the open subpixels of a view."""

@@ -54,6 +54,24 @@ def look_where_seen(view, left, low, world_from_camera, fragments, first, rows, 
 
 
 @uncounted
+def look_through_lens(view, lens, left, low, first, rows, shown, direction, rays):
+    """`look_where_seen` for a perspective image whose subpixels belong to views from points of the lens.
+
+    lens: lens.LensRays; shown (F, 2) int32: as `seen`.
+    """
+    side = np.int64(len(lens.of))
+    for i in range(len(rows)):
+        k = rows[i]
+        x, y = np.int64(shown[first + k, 0]), np.int64(shown[first + k, 1])
+        n = np.int64(lens.of[y % side, x % side])
+        u = ((left + x) // side + 0.5 - lens.shift[n, 0]) * (side / view.scale_x)
+        v = ((low + y) // side + 0.5 - lens.shift[n, 1]) * (side / view.scale_y)
+        _aim(view, lens.world_from_camera[n], u, v, rays, i)
+        for r in range(3):
+            direction[k, r] = rays.direction[i, r]
+
+
+@uncounted
 def look_around(
     view, left, low, world_from_camera, fragments, first, rows, cell, tables, samples, slot, turn, rays
 ):

@@ -17,6 +17,7 @@ from pointmr_engine.forward.tiles import TILE, Workspace
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
+from pointmr_engine.multires.looks import look_where_seen
 from pointmr_engine.multires.merge import choose_seen, merge_fragments
 from pointmr_engine.multires.world_sharing import REACH
 from pointmr_engine.raytracing.integrator import Stage
@@ -129,6 +130,14 @@ class TracedTiles(Workspace):
     @staticmethod
     def cell_of(image) -> int:
         return CELL
+
+    def look(self, first: int, rows: np.ndarray, direction: np.ndarray, rays) -> None:
+        """Aim rays at fragments first + rows, through places of the image that show them: looks.look_where_seen."""
+        image = self.image
+        look_where_seen(
+            image.view, np.int64(self.left), np.int64(self.low), image.camera.world_from_camera, self.fragments,
+            np.int64(first), rows, self.seen, direction, rays,
+        )  # fmt: skip
 
     def _fragments(self, hierarchy) -> int:
         count = super()._fragments(hierarchy)

@@ -11,7 +11,8 @@ from pointmr_engine.raytracing.surface import Frames, RayState, gather
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
-from pointmr_engine.shading.points import RAY_DIFFUSE
+from pointmr_engine.shading.footprint_mean import footprint_means
+from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_SINGULAR
 from pointmr_engine.shading.program import Program
 
 
@@ -68,6 +69,7 @@ class Shader:
         self.tables = tables
         self.reflective = settings.caustics_reflective
         self.refractive = settings.caustics_refractive
+        self.seed = settings.seed
         self.bump_correction = [m is None or m.bump_method != "NONE" for m in geometry.materials]
         # materials that add nothing to a path that may not scatter again
         self.dull = np.array([p.opaque and not p.emissive for p in programs] + [True], np.bool_)
@@ -92,8 +94,23 @@ class Shader:
             if not len(rows):
                 continue
             points = gather(self.geometry, rays, hits, frames, rows, program.needs, state, m)
-            for leaf in program.evaluate(points):
+            means = self._means(program, rays, hits, frames, rows, state, m) if program.fine_needs else None
+            for leaf in program.evaluate(points, means):
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
+
+    def _means(self, program: Program, rays, hits, frames, rows, state, material):
+        """Fine textures averaged over the footprints of what is seen directly, in mirrors or through glass."""
+        seen = np.flatnonzero(
+            ((state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0)
+            & ((state.width[rows] > 0) | (state.spread[rows] > 0))
+        )
+        if not len(seen):
+            return None
+
+        def points(index: np.ndarray):
+            return gather(self.geometry, rays, hits, frames, index, program.fine_needs, state, material)
+
+        return seen, footprint_means(program.fine_values, points, rows[seen], program.fine_needs, self.seed)
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

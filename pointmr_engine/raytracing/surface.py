@@ -292,7 +292,8 @@ def _mover(geometry, points, samples, every, direction, width):
             frames_there = allocate_frames(n)
             frames_of(geometry.tables, there, direction, frames_there)
         result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
-        _fill_surface(geometry, result, there, frames_there, needs, direction, width)
+        result.moved = lambda more, needs=None: moved(offset + more, needs)
+        _fill_surface(geometry, result, there, frames_there, needs - {"moved"}, direction, width)
         return result
 
     return moved

@@ -13,6 +13,7 @@ import numpy as np
 from pointmr_engine.scene.graph import Graph
 from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
 from pointmr_engine.shading.differentials import axes_at, moved_points
+from pointmr_engine.shading.footprint_mean import NEEDS
 from pointmr_engine.shading.leaves import COLUMNS, Leaf
 from pointmr_engine.shading.nodes.registry import Call
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
@@ -94,6 +95,16 @@ class Plan:
         return moved
 
 
+def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
+    """The columns' sources that fine nodes decide. What differences inputs takes the footprint into account itself."""
+    fine: list[bool] = []
+    for step in steps:
+        below = any(isinstance(s, Slot) and fine[s.step] for s in step.inputs.values())
+        fine.append(step.type.fine or (below and not step.type.differenced))
+    sources = [s for leaf in leaves for _, _, s in leaf.columns]
+    return [s for s in sources if isinstance(s, Slot) and fine[s.step]]
+
+
 def read(source: Source, memo: dict[tuple[int, str], np.ndarray]) -> np.ndarray:
     """A source's value."""
     return source.value if isinstance(source, Constant) else memo[source.step, source.output]
@@ -104,7 +115,8 @@ class Program:
 
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
-    transparency_needs, emission_needs: the same for `transparency` and `emission`.
+    transparency_needs, emission_needs: the same for `transparency` and `emission`. fine_needs: for `fine_values` and
+        shading.footprint_mean; empty where nothing is fine.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     opaque: light never passes straight through; emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never
@@ -120,6 +132,7 @@ class Program:
         transparency: list[Source],
         emission: list[Source],
         warnings: list[str],
+        filtered: bool = False,
     ) -> None:
         self.kind = kind
         self.leaves = tuple(leaves)
@@ -130,7 +143,11 @@ class Program:
         self._transparency, self._emission = transparency, emission
         self._transparency_plan = Plan(steps, transparency)
         self._emission_plan = Plan(steps, emission)
+        fine = fine_slots(steps, leaves) if filtered and kind == "surface" else []
+        self._fine_plan = Plan(steps, fine) if fine else None
+        self._fine_names = {(s.step, s.output) for s in fine}
         self.needs: frozenset[str] = self._plan.needs
+        self.fine_needs: frozenset[str] = self._fine_plan.needs | NEEDS if fine else frozenset()
         self.transparency_needs: frozenset[str] = self._transparency_plan.needs
         self.emission_needs: frozenset[str] = self._emission_plan.needs
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
@@ -142,11 +159,25 @@ class Program:
             self.constant_emission = tuple(float(v) for v in _sum(emission, {}, 1)[0])
         self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves)
 
-    def evaluate(self, points: SurfacePoints) -> list[Leaf]:
-        """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies. Blocks are read-only."""
+    def evaluate(self, points: SurfacePoints, means: tuple[np.ndarray, dict] | None = None) -> list[Leaf]:
+        """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies. Blocks are read-only.
+
+        means: rows (n,) of the points and what takes the place of `fine_values` there, where that was averaged.
+        """
         with np.errstate(all="ignore"):
             memo = self._plan.run(points)
+        if means is not None:
+            rows, values = means
+            for name, value in values.items():
+                memo[name] = memo[name].copy()
+                memo[name][rows] = value
         return [_fill(leaf, memo) for leaf in self.leaves]
+
+    def fine_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
+        """What fine textures decide (shading.footprint_mean), by names of its own; reads `fine_needs`."""
+        with np.errstate(all="ignore"):
+            memo = self._fine_plan.run(points)
+        return {name: memo[name] for name in self._fine_names}
 
     def transparency(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32 share of light that passes straight through, for shadow rays."""
@@ -201,7 +232,7 @@ def compile_graph(graph: Graph, kind: str = "surface", filtered: bool = True) ->
     from pointmr_engine.shading.flatten import flatten
 
     steps, leaves, transparency, emission, warnings = flatten(graph, kind, filtered)
-    return Program(kind, steps, leaves, transparency, emission, warnings)
+    return Program(kind, steps, leaves, transparency, emission, warnings, filtered)
 
 
 def evaluate_background(

@@ -93,6 +93,7 @@ def _complete(c: Call) -> Call:
     },
     {"fac": FLOAT, "color": COLOR},
     ignores=_ignores_unused,
+    fine=True,
 )
 def _noise(c: Call) -> dict[str, np.ndarray]:
     """params: dimensions "1D" to "4D", type (NOISE_TYPES), normalize."""
@@ -148,6 +149,7 @@ def _most_distant(parameters: np.ndarray, dimensions: int, feature: int, metric:
     },
     {"distance": FLOAT, "color": COLOR, "position": VECTOR, "w": FLOAT, "radius": FLOAT},
     ignores=_ignores_unused,
+    fine=True,
 )
 def _voronoi(c: Call) -> dict[str, np.ndarray]:
     """params: dimensions "1D" to "4D", feature (FEATURES), metric (METRICS), normalize."""
@@ -196,6 +198,7 @@ def _voronoi(c: Call) -> dict[str, np.ndarray]:
     {"vector": _GENERATED, "w": (FLOAT, 0.0)},
     {"value": FLOAT, "color": COLOR},
     ignores=_ignores_unused,
+    fine=True,
 )
 def _white_noise(c: Call) -> dict[str, np.ndarray]:
     """params: dimensions "1D" to "4D"."""

@@ -19,6 +19,7 @@ def _grey(values: np.ndarray) -> dict[str, np.ndarray]:
     "checker_texture",
     {"vector": _GENERATED, "color1": (COLOR, 0.8), "color2": (COLOR, 0.2), "scale": (FLOAT, 5.0)},
     {"color": COLOR, "fac": FLOAT},
+    fine=True,
 )
 def _checker(c: Call) -> dict[str, np.ndarray]:
     # nudged, so that coordinates on the very edge of a square fall to one side
@@ -74,6 +75,7 @@ def _brick_tint(n: np.ndarray) -> np.ndarray:
         "row_height": (FLOAT, 0.25),
     },
     {"color": COLOR, "fac": FLOAT},
+    fine=True,
 )
 def _brick(c: Call) -> dict[str, np.ndarray]:
     """params: offset, offset_frequency, squash, squash_frequency."""
@@ -109,6 +111,7 @@ def _cells(x: np.ndarray, size: np.ndarray) -> np.ndarray:
     "magic_texture",
     {"vector": _GENERATED, "scale": (FLOAT, 5.0), "distortion": (FLOAT, 1.0)},
     {"color": COLOR, "fac": FLOAT},
+    fine=True,
 )
 def _magic(c: Call) -> dict[str, np.ndarray]:
     """params: depth, how often the waves are bent by each other (0 to 10)."""
@@ -158,6 +161,7 @@ def _magic(c: Call) -> dict[str, np.ndarray]:
         "phase_offset": (FLOAT, 0.0),
     },
     {"color": COLOR, "fac": FLOAT},
+    fine=True,
 )
 def _wave(c: Call) -> dict[str, np.ndarray]:
     """params: type "BANDS" or "RINGS", bands and rings directions, profile "SIN", "SAW" or "TRI"."""

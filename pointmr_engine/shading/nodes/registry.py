@@ -70,6 +70,7 @@ class NodeType:
     differenced: inputs that it also evaluates at moved points. prepare(params): done once, when a graph is compiled.
     passes(params, constants): name of the input that is the result unchanged, or None.
     footprint: name of the vector input whose footprint it reads as the hidden input "footprint".
+    fine: it may vary within a footprint, at which it is not filtered (shading.footprint_mean).
     """
 
     kind: str
@@ -83,6 +84,7 @@ class NodeType:
     prepare: Callable[[dict[str, Any]], dict[str, Any]] | None = None
     passes: Callable[[dict[str, Any], dict[str, np.ndarray]], str | None] | None = None
     footprint: str | None = None
+    fine: bool = False
 
 
 @dataclass(frozen=True)

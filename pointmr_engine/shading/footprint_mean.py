@@ -1,0 +1,90 @@
+"""Means over rays' footprints of what no pyramid filters: procedural textures, sampled at places of each footprint.
+
+A checker or a noise has no stored levels as an image has. Seen from afar, one point of it stands for nothing: what a
+material takes from it is evaluated at several points of the footprint, in the plane of the surface, and averaged
+before shading, as prefiltered texels are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pointmr_engine.shading.differentials import moved_points, tangent_axes
+from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.values import cross, dot
+
+NEEDS = frozenset({"moved", "footprint", "geometric_normal", "incoming", "position"})
+GRAZING = 0.05  # cosine below which footprints on a surface grow no further
+ALIKE = 0.1  # of their mean: largest difference between the first places' values that needs no others
+FAINT = 0.01  # added to that mean
+FIRST, ALL = 4, 16  # places of a footprint
+
+# the first points of Sobol's sequence: any 4 and all 16 are stratified
+_U = np.array([0, 8, 12, 4, 6, 14, 10, 2, 3, 11, 15, 7, 5, 13, 9, 1], np.float64) / ALL
+_V = np.array([0, 8, 4, 12, 6, 14, 2, 10, 5, 13, 1, 9, 3, 11, 7, 15], np.float64) / ALL
+
+
+def footprint_means(
+    run: Callable[[SurfacePoints], dict],
+    gather: Callable[[np.ndarray], SurfacePoints],
+    rows: np.ndarray,
+    needs: frozenset[str],
+    seed: int = 0,
+) -> dict:
+    """Values by name, each (n,) or (n, 3) float32: the means over the footprints of points `rows` (n,).
+
+    run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
+    with NEEDS. seed: another one has other places.
+    """
+    first = _at_places(run, gather, rows, needs, seed, 0, FIRST)
+    mean = {name: v.mean(0) for name, v in first.items()}
+    differs = np.zeros(len(rows), np.bool_)
+    for name, v in first.items():
+        apart = v.max(0) - v.min(0) > ALIKE * (np.abs(mean[name]) + FAINT)
+        differs |= apart if apart.ndim == 1 else apart.any(1)
+    more = np.flatnonzero(differs)
+    if len(more):
+        rest = _at_places(run, gather, rows[more], needs, seed, FIRST, ALL)
+        for name, v in rest.items():
+            mean[name][more] = (mean[name][more] * FIRST + v.sum(0)) / np.float32(ALL)
+    return mean
+
+
+def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int) -> dict:
+    """Values (end - begin, n, ...) at places begin..end of the footprints of points `rows`, all in one batch."""
+    count = end - begin
+    points = gather(np.tile(rows, count))
+    a, b = _axes(points)
+    u, v = _turns(points.position, seed)
+    u = (u + np.repeat(_U[begin:end], len(rows))) % 1 - 0.5
+    v = (v + np.repeat(_V[begin:end], len(rows))) % 1 - 0.5
+    values = run(moved_points(points, u[:, None] * a + v[:, None] * b, needs))
+    return {
+        name: np.broadcast_to(x, (len(u), *x.shape[1:])).reshape(count, len(rows), *x.shape[1:])
+        for name, x in values.items()
+    }
+
+
+def _axes(points: SurfacePoints) -> tuple[np.ndarray, np.ndarray]:
+    """Sides (n, 3) float64 of the footprints on their surfaces, world space, metres: across the view and along it."""
+    n = points.geometric_normal.astype(np.float64)
+    across = cross(n, points.incoming.astype(np.float64))
+    length = np.sqrt(dot(across, across))
+    facing = length < 1e-6
+    if facing.any():
+        across[facing], length[facing] = tangent_axes(n[facing])[0], 1.0
+    across /= length[:, None]
+    width = points.footprint.astype(np.float64)
+    cosine = np.maximum(np.abs(dot(n, points.incoming)), GRAZING)
+    return width[:, None] * across, (width / cosine)[:, None] * cross(across, n)
+
+
+def _turns(position: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two numbers (n,) in 0..1 for each position (n, 3) float64: where the places of its footprint begin."""
+    h = np.full(len(position), np.uint64(0x9E3779B97F4A7C15 * (2 * seed + 1) & 0xFFFFFFFFFFFFFFFF))
+    for c in range(3):
+        h = (h ^ np.ascontiguousarray(position[:, c]).view(np.uint64)) * np.uint64(0xBF58476D1CE4E5B9)
+        h ^= h >> np.uint64(29)
+    return (h >> np.uint64(40)) / 2.0**24, (h & np.uint64(0xFFFFFF)) / 2.0**24
