@@ -35,10 +35,11 @@ def _bend(tables, p, t, ua, va, ub, vb, scale):
 
 
 @uncounted
-def spread_of_curvature(tables, hits, width, rows, count, spread):
+def spread_of_curvature(tables, hits, width, seen, whole, rows, count, spread):
     """spread (N,) float32 at rows[0..count]: variance of the slopes of the normals over the footprints `width`.
 
-    hits: of those rows; tables: PartTables. Triangles that are shaded flat have none.
+    hits: of those rows; tables: PartTables; seen (N,) int32: subpixels in which each is seen, of which a footprint has
+    `whole`. Triangles that are shaded flat have none.
     """
     for i in range(count):
         k = rows[i]
@@ -57,5 +58,6 @@ def spread_of_curvature(tables, hits, width, rows, count, spread):
             u, v = (1.0 if e == 0 else 0.0), (1.0 if e == 1 else 0.0)
             bend += _bend(tables, p, t, u, v, v, 1.0 - u - v, scale) / 3.0
         variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0
+        variance *= min(np.float64(seen[k]) / whole, 1.0)
         if variance > FLATTEST:
             spread[k] = min(variance, 2.0)

@@ -159,7 +159,10 @@ class FragmentPaths(Workspace):
         self.coloured[:count] = False
         self.coloured[triangles] = image.coloured
         tables = self.stage.shader.geometry.tables
-        spread_of_curvature(tables, hits, now.state.width, triangles, np.int64(len(triangles)), self.spread)
+        spread_of_curvature(
+            tables, hits, now.state.width, f.count[first : first + count], np.float64(space.cell**2), triangles,
+            np.int64(len(triangles)), self.spread,
+        )  # fmt: skip
         self._look_at_clumps(space, now, first)
         start_rays(now.rays, hits, self.frames, n_)
         if image.view.perspective:  # the footprint goes on growing behind mirrors

@@ -28,11 +28,13 @@ from pointmr_engine.forward.walk import Scratch, walk
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
 from pointmr_engine.multires.looks import look_through_lens
-from pointmr_engine.multires.merge import choose_seen, join, mergeable, unit_normal
+from pointmr_engine.multires.merge import choose_seen, copy_fragment, join, mergeable, unit_normal
 from pointmr_engine.multires.method import TracedShading, TracedTiles
 from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.rng import pixel_seed
 from pointmr_engine.scene.group import CAMERA
 
+VIEW = 33  # first bit of the view in a fragment's key
 MIXED = 2.0  # pixels: circles of confusion from this size on are shaded in larger cells
 
 
@@ -52,11 +54,12 @@ def deal_out(ids, width, height, side, column, row, first, subpixels, out, empty
 
 
 @uncounted
-def merge_views(order, key, perspective, footprint, f: Fragments, count, into, largest, kept):
+def merge_views(order, key, perspective, footprint, f: Fragments, count, into, largest, kept, seed):
     """Merge fragments 0..count that have the same key and continue each other's surface; returns how many are left.
 
-    order (N,) int64: by key; key (N,) int64: cell, and view where views do not share. The merged ones take the places
-    of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of.
+    order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share. There one
+    of them represents all, by chance, for what is sharp must not be asked in the same places always. The merged ones
+    take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of.
     """
     groups, first, last = np.int64(0), np.int64(0), np.int64(-1)
     for n in range(count):
@@ -73,7 +76,14 @@ def merge_views(order, key, perspective, footprint, f: Fragments, count, into, l
                 found = g
                 break
         if found >= 0:
-            join(f, kept[found], k, largest)
+            g = kept[found]
+            if key[k] >> VIEW == 0:
+                join(f, g, k, largest)
+            else:
+                seen = f.count[g] + f.count[k]
+                if np.int64(pixel_seed(key[k], np.int64(k), seed)) * seen < np.int64(f.count[k]) << 32:
+                    copy_fragment(f, g, k)
+                f.count[g] = seen
             into[k] = found
         else:
             kept[groups] = k
@@ -277,11 +287,11 @@ class LensTiles(TracedTiles):
         last = 1 << 15  # what lies far outside the tile is in the last cells
         i, j = (np.clip(a[:n] // cell, -last, last - 1).astype(np.int64) + last for a in (f.x, f.y))
         view_of = np.where(alone, self.of_view[:n].astype(np.int64) + 1, 0)
-        key = (view_of << 33) + (mixed.astype(np.int64) << 32) + (j << 16) + i
+        key = (view_of << VIEW) + (mixed.astype(np.int64) << 32) + (j << 16) + i
         order = np.argsort(key, kind="stable")
         count = merge_views(
             order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.largest,
-            self.kept,
+            self.kept, np.int64(image.settings.seed),
         )  # fmt: skip
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
         choose_seen(
@@ -291,7 +301,7 @@ class LensTiles(TracedTiles):
         chosen = self.kept[:count]
         for old, new in zip(f, self.fragments, strict=True):
             new[:count] = old[chosen]
-        of, start = np.unique(key[chosen] >> 33, return_index=True)
+        of, start = np.unique(key[chosen] >> VIEW, return_index=True)
         stop = [*start[1:].tolist(), count][: len(of)]
         self.parts = list(zip(start.tolist(), stop, (of - 1).tolist(), strict=True))
         return count
