@@ -36,6 +36,9 @@ from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 _WEIGHTS = cell_weights()
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
+# of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
+# regularized paths do: Kaplanyan and Dachsbacher 2013)
+AROUND = 0.5
 MOST = 3  # fragments of a cone
 WHOLE = 12  # subpixels from which a fragment's surface is taken to go on beside it, so that light is shared
 NO_SHADOWS = np.zeros((0, 0), np.float32)
@@ -72,6 +75,7 @@ class ConePaths(EdgePaths):
         self.then = self.met
         self.masks = np.empty(n, np.uint64)
         self.lobe_alpha = np.zeros(n, np.float32)
+        self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
         self.going = 0
 
     def trace(self, space, hierarchy, values, first: int, count: int) -> None:
@@ -83,7 +87,8 @@ class ConePaths(EdgePaths):
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:
             self.flat[:n] = 1.0
-            self.spread[:n] = 0.0
+            # what arrives is a part of a lobe: surfaces behind it reflect that part, and not a ray
+            self.spread[:n] = 0.5 * self.lobe_alpha[:n] ** 2
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
         super().shaded(now, n, bounce)
 
@@ -206,7 +211,9 @@ class ConePaths(EdgePaths):
         at_points = [self._unhindered(lamps, self.ones_f, n) for _, lamps in self.light.each]
         # what glitters says nothing of a distribution's mean normal: of that, B is U
         matt = [lamps._replace(visibility=lamps.visibility & DIFFUSE) for _, lamps in self.light.each]
-        glossy = [u - self._unhindered(lamps, self.ones_f, n) for u, lamps in zip(at_points, matt, strict=True)]
+        glossy = [
+            u - self._unhindered(lamps, self.ones_f, n) for u, lamps in zip(at_points, matt, strict=True)
+        ]
         swap_normals(lobes, self.view.incoming, clumps.row, clumps.normal, self.swapped)
         spread_out = [
             self._unhindered(lamps, self.flat, n) + g for lamps, g in zip(matt, glossy, strict=True)
@@ -297,7 +304,7 @@ class ConePaths(EdgePaths):
             )  # fmt: skip
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
-            self.lobe_alpha,
+            self.lobe_alpha, self.around,
         )  # fmt: skip
         total = sum(counts)
         if counts[2]:

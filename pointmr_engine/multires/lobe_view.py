@@ -40,6 +40,7 @@ class LobeCones(NamedTuple):
     part: np.ndarray
     weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
     ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
+    rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
 
 
 def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
@@ -53,6 +54,7 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
         np.zeros(n, np.int8),
         np.empty((n, 64), f),
         np.zeros(n, np.bool_),
+        np.zeros(n, f),
     )
 
 
@@ -174,6 +176,7 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
             paths.rays.direction[m, a] = d * inverse
         if paths.bsdf_pdf[m] == BY_LOBE:
             paths.bsdf_pdf[m] = _pdf_of(lobes, m, np.float64(lobes.alpha[m]), paths.rays.direction, m)
+        lobes.rough[m] = lobes.alpha[m]
         lobes.alpha[m] = WITHIN_LOBE
 
 
@@ -217,11 +220,14 @@ def _look(lobes: LobeCones, k, mask):
 
 
 @uncounted
-def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, room, out: Paths, hits, alpha):
+def follow_cones(
+    paths: Paths, lobes: LobeCones, fragments, escaped, count, n, room, out: Paths, hits, alpha, around
+):
     """Paths for what the cones of paths 0..n see, into out; returns (rows of hits, of escapes, of straight rays).
 
     fragments: count rows of cone_hits.gather, whose rays and hits are rows 0..count of out.rays and hits already. alpha
-    (M,) float32: roughness of what is left of the lobe in each row. Straight rays have yet to be walked.
+    (M,) float32: roughness of what is left of the lobe in each row; of a ray, `around` times the lobe's. Straight rays
+    have yet to be walked.
     """
     for r in range(count):
         k = np.int64(fragments.cone[r])
@@ -254,6 +260,8 @@ def follow_cones(paths: Paths, lobes: LobeCones, fragments, escaped, count, n, r
             copy_path(paths, np.int64(k), 1.0, out, m)
             copy_ray(paths.rays, np.int64(k), out.rays, m)
             sharp = np.int64(paths.state.kind[k]) & (RAY_CAMERA | RAY_SINGULAR) != 0
-            alpha[m] = 0.0 if sharp and lobes.alpha[k] != WITHIN_LOBE else _NEARLY_SHARP
+            alpha[m] = 0.0 if sharp else _NEARLY_SHARP
+            if lobes.alpha[k] == WITHIN_LOBE:
+                alpha[m] = max(_NEARLY_SHARP, around * np.float64(lobes.rough[k]))
             m += 1
     return count, escapes, m - count - escapes

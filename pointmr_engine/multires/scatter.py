@@ -12,9 +12,9 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
-from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
+from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, WITHIN_LOBE, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.rng import sample_1d
+from pointmr_engine.numerics.rng import sample_1d, sample_2d
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, SEES_LAMPS, THROUGH, copy_path, copy_ray
 from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
@@ -27,11 +27,13 @@ from pointmr_engine.shading.bsdf.layout import (
     IOR,
     KIND_MASK,
     NORMAL,
+    REFLECTION,
     REFRACTION,
     SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
 )
+from pointmr_engine.shading.bsdf.microfacet import IOR_MATCHED, evaluate, sample
 from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 from pointmr_engine.shading.points import RAY_GLOSSY, RAY_REFLECTION, RAY_SINGULAR, RAY_TRANSMISSION
@@ -45,6 +47,8 @@ WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
+LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
+ROUGH = 0.15  # roughness (GGX alpha) above which lobes take rays: their cones would be too wide
 
 
 @device
@@ -148,7 +152,7 @@ def _largest(c):
 
 
 @device
-def _branch(chosen, weight, before, target, total, weak):
+def _branch(chosen, weight, before, target, total):
     """Factor of the weight of a branch that goes on, 0 if it does not.
 
     chosen: only the branch goes on in whose share of `total`, behind `before`, the `target` lies.
@@ -157,9 +161,50 @@ def _branch(chosen, weight, before, target, total, weak):
         return 0.0
     if chosen:
         if before <= target and target < before + weight:
-            return max(total, weak) / weight
+            return total / weight
         return 0.0
     return 1.0
+
+
+@device
+def _survives(out, m, chance, weak):
+    """Whether row m of paths goes on, by a random number, where its throughput is below `weak`; it is then that."""
+    t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
+    if t >= weak:
+        return True
+    if chance * weak >= t:
+        return False
+    for c in range(3):
+        out.throughput[m, c] *= weak / t
+    return True
+
+
+@device
+def _by_chance(lobes, k, j, wi, transmitted, u, v):
+    """A direction of lobe j of point k on one side, by its visible facets, and (rgb) BSDF * cosine / density there.
+
+    The weight is 0 where there is no such direction.
+    """
+    kind = lobes.kind[k, j]
+    none = (0.0, 0.0, 0.0)
+    # which side is given: samples are told so by the first number
+    wo, refracted, singular, _, chance = sample(
+        kind, lobes.data, k, j, lobes.film_table, wi, 0.9999999999 if transmitted else 0.0, u, v
+    )
+    normal = load3(lobes.data, k, j, NORMAL)
+    if (
+        not chance > 0.0
+        or singular
+        or refracted != transmitted
+        or (dot(normal, wo) < 0.0) != transmitted
+        or (dot(row3(lobes.geometric_normal, k), wo) < 0.0) != transmitted
+    ):
+        return wo, none
+    f, pdf, _ = evaluate(kind, lobes.data, k, j, lobes.film_table, wi, wo)
+    if not pdf > 0.0:
+        return wo, none
+    w, scale = load3(lobes.data, k, j, WEIGHT), chance / pdf
+    return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale)
 
 
 @uncounted
@@ -193,16 +238,15 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             continue
         chosen = bounce > 0 or total < SPLIT or crowded
         glints = bounce > 0 and _largest(t) < STRONG
-        weak = WEAK if bounce == 0 else WEAK_LATER
-        target = 0.0
+        weak, strong = (WEAK, STRONG) if bounce == 0 else (WEAK_LATER, 1.0)
+        slot = paths.slot[k]
+        target = chance = 0.0
         if chosen:
-            slot = paths.slot[k]
             seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
-            target = sample_1d(tables, seed, np.uint32(64 * bounce + 8), samples.number[slot]) * max(
-                total, weak
-            )
-        before = 0.0
-        f = _branch(chosen, _largest(clear), before, target, total, weak)
+            target = sample_1d(tables, seed, np.uint32(64 * bounce + 8), samples.number[slot]) * total
+            chance = sample_1d(tables, seed, np.uint32(64 * bounce + 10), samples.number[slot])
+        first, before = m, 0.0
+        f = _branch(chosen, _largest(clear), before, target, total)
         before += max(_largest(clear), 0.0)
         if f > 0.0:
             _pass(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
@@ -213,34 +257,35 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         for j in range(np.int64(lobes.count[k])):
             integrated[k, j] = False
             r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
-            f = _branch(chosen, _largest(r), before, target, total, weak)
+            rough = _roughness(lobes, k, j)
+            # at first surfaces the fragments of a pixel share what is to be drawn among them
+            seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
+            u, v = sample_2d(
+                tables, seed, np.uint32(LOBE_PLACES + 16 * bounce + (j & 15)), samples.number[slot]
+            )
+            f = _branch(chosen, _largest(r), before, target, total)
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
-                integrated[k, j] = bounce == 0 and not chosen and not small[k] and _largest(r) >= STRONG
+                ray = _takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(r), small[k], strong)
+                integrated[k, j] = (
+                    bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
+                )
                 m = _reflect(
-                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, wi, out, m, record, glints,
-                    integrated[k, j], small[k],
+                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
+                    glints, integrated[k, j], small[k], ray,
                 )  # fmt: skip
-            f = _branch(chosen, _largest(g), before, target, total, weak)
+            f = _branch(chosen, _largest(g), before, target, total)
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
+                ray = _takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(g), small[k], strong)
                 m = _refract(
-                    paths,
-                    np.int64(k),
-                    np.int64(j),
-                    hits,
-                    frames,
-                    lobes,
-                    limits,
-                    g,
-                    wi,
-                    out,
-                    m,
-                    record,
-                    small[k],
-                )
+                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
+                    small[k], ray,
+                )  # fmt: skip
+        if chosen and m == first + 1 and not _survives(out, first, chance, weak):
+            m = first
     return m
 
 
@@ -304,18 +349,61 @@ def restore_lobes(lobes, rows, samples, glints, count, kept):
 
 
 @device
-def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, glints, integrated, small):
-    """The cone of a lobe that reflects, or the two of one that matters, with throughput w; returns the next row."""
+def _takes_ray(lobes, k, j, rough, largest, small, strong):
+    """Whether a lobe of throughput `largest` takes a ray by chance instead of a cone."""
+    kind = lobes.kind[k, j]
+    if kind & SINGULAR_LOBE or kind & KIND_MASK == ASHIKHMIN_SHIRLEY:
+        return False
+    if kind & KIND_MASK != REFLECTION and abs(np.float64(lobes.data[k, j, IOR]) - 1.0) < IOR_MATCHED:
+        return False
+    return small or largest < strong or rough > ROUGH
+
+
+@device
+def _send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind, glossy, transmission, record,
+              rough):  # fmt: skip
+    """Row m of `out` becomes a ray within a lobe, in direction wo."""
+    t = paths.throughput[k]
+    _continue(
+        paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0] * t[0] * factor, w[1] * t[1] * factor,
+        w[2] * t[2] * factor, wo[0], wo[1], wo[2], kind, glossy, transmission,
+    )  # fmt: skip
+    out.state.spread[m] = paths.state.spread[k]
+    record.alpha[m] = WITHIN_LOBE
+    record.rough[m] = rough
+    record.part[m] = 0
+    record.cones.t_min[m] = record.cones.t_max[m] = 0.0
+
+
+@device
+def _reflect(
+    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
+    small, ray,
+):  # fmt: skip
+    """The ray of a lobe that reflects, its cone, or the two of one that matters; returns the next row.
+
+    w: its throughput; factor: of chance, in it; u, v: random numbers for the ray.
+    """
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
     rough = _roughness(lobes, k, j)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+    if ray:
+        wo, weight = _by_chance(lobes, k, j, wi, False, u, v)
+        if _largest(weight) > 0.0:
+            _send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
+                      np.int64(1), np.int64(0), record, rough)  # fmt: skip
+            if glints:
+                out.flags[m] |= SEES_LAMPS
+            out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
+            m += 1
+        return m
     d = (2.0 * cosine * nm[0] - wi[0], 2.0 * cosine * nm[1] - wi[1], 2.0 * cosine * nm[2] - wi[2])
     d = towards_normal(nm, d, rough)
     if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
         return m
-    two = singular == 0 and not small and _largest(w) > STRONG
+    two = singular == 0 and _largest(w) > STRONG
     wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
     for part in range(2 if two else 1):
@@ -340,8 +428,8 @@ def _reflect(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, gl
 
 
 @device
-def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, small):
-    """The cone of a lobe that transmits, with throughput w; returns the next row."""
+def _refract(paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, small, ray):
+    """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`."""
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
@@ -349,6 +437,14 @@ def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, sm
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     ior = np.float64(lobes.data[k, j, IOR])
     inverse = 1.0 / ior if ior > 0.0 else 1.0
+    bend = abs(1.0 - inverse) * rough
+    if ray:
+        wo, weight = _by_chance(lobes, k, j, wi, True, u, v)
+        if _largest(weight) > 0.0:
+            _send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
+                      RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
+            m += 1
+        return m
     square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
     if not square > 0.0:
         return m
@@ -357,7 +453,6 @@ def _refract(paths, k, j, hits, frames, lobes, limits, w, wi, out, m, record, sm
     _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
     out.state.spread[m] = paths.state.spread[k]
-    bend = abs(1.0 - inverse) * rough
     wide = 0.0 if singular else WIDE * bend
     _open_cone(record.cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
     record.alpha[m] = 0.0 if singular else bend
