@@ -54,12 +54,15 @@ def deal_out(ids, width, height, side, column, row, first, subpixels, out, empty
 
 
 @uncounted
-def merge_views(order, key, perspective, footprint, f: Fragments, count, into, largest, kept, seed):
+def merge_views(
+    order, key, perspective, footprint, f: Fragments, count, into, largest, kept, left, low, seed
+):
     """Merge fragments 0..count that have the same key and continue each other's surface; returns how many are left.
 
     order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share. There one
     of them represents all, by chance, for what is sharp must not be asked in the same places always. The merged ones
-    take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of.
+    take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of. left,
+    low: the tile's first subpixel.
     """
     groups, first, last = np.int64(0), np.int64(0), np.int64(-1)
     for n in range(count):
@@ -81,7 +84,8 @@ def merge_views(order, key, perspective, footprint, f: Fragments, count, into, l
                 join(f, g, k, largest)
             else:
                 seen = f.count[g] + f.count[k]
-                if np.int64(pixel_seed(key[k], np.int64(k), seed)) * seen < np.int64(f.count[k]) << 32:
+                h = pixel_seed(np.int64(4.0 * (left + f.x[k])), np.int64(4.0 * (low + f.y[k])), seed)
+                if np.int64(h) * seen < np.int64(f.count[k]) << 32:
                     copy_fragment(f, g, k)
                 f.count[g] = seen
             into[k] = found
@@ -291,7 +295,7 @@ class LensTiles(TracedTiles):
         order = np.argsort(key, kind="stable")
         count = merge_views(
             order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.largest,
-            self.kept, np.int64(image.settings.seed),
+            self.kept, np.int64(self.left), np.int64(self.low), np.int64(image.settings.seed),
         )  # fmt: skip
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
         choose_seen(

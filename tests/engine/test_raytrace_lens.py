@@ -9,10 +9,19 @@ import pytest
 from benchmarks.closed_forms.__main__ import image_of
 from benchmarks.closed_forms.cases import all_cases
 from benchmarks.closed_forms.stage import glow, mirror, rectangle
-from pointmr_engine import Group, Light, RenderSettings, Scene, principled, render, uniform_world
+from pointmr_engine import Group, Light, Mesh, RenderSettings, Scene, principled, render, uniform_world
 from pointmr_engine.forward.subpixels import make_view
-from pointmr_engine.multires.lens import confusion, lens_points, make_views, sharpest, views_per_side
+from pointmr_engine.multires.lens import (
+    confusion,
+    lens_points,
+    lens_rays,
+    make_views,
+    sharpest,
+    views_per_side,
+)
+from pointmr_engine.multires.looks import look_through_lens
 from pointmr_engine.raytracing.camera import compile_camera
+from pointmr_engine.raytracing.rays import allocate_rays
 from pointmr_engine.scene.settings import RaytraceSettings
 from pointmr_engine.shading.program import compile_graph
 from tests.engine.small_scenes import at, from_above, lit_floor, quad
@@ -120,6 +129,66 @@ def test_unfiltered_passes_come_from_the_middle_of_the_lens():
     for name in ("depth", "position"):
         a, b = pinhole.passes[name], lens.passes[name]
         assert (np.abs(a - b).max(-1) > 0.1 * np.abs(a).max()).mean() < 0.03
+
+
+@pytest.mark.parametrize("side", [2, 4])
+def test_looks_through_the_lens_meet_in_the_plane_in_focus(side):
+    """A subpixel's ray leaves its view's lens point for the place in focus that the pinhole sees there."""
+    focus = 3.0
+    camera, view = compiled(fstop=0.2, focus_distance=focus)
+    views = make_views(camera, view, 8, side)
+    y, x = (a.ravel() for a in np.indices((8, 8)))
+    shown, rays, direction = np.stack([x, y], 1).astype(np.int32), allocate_rays(64), np.zeros((64, 3))
+    left, low = 16, 40
+    look_through_lens(
+        view,
+        lens_rays(views),
+        np.int64(left),
+        np.int64(low),
+        np.int64(0),
+        np.arange(64),
+        shown,
+        direction,
+        rays,
+    )
+    to_camera = np.asarray(camera.camera_from_world)[:3]
+    origin = rays.origin @ to_camera[:, :3].T + to_camera[:, 3]
+    along = rays.direction @ to_camera[:, :3].T
+    assert np.array_equal(direction, rays.direction)
+    at_lens = origin - along * (origin[:, 2:] / along[:, 2:])
+    points = np.array([[v.x, v.y] for v in views])
+    of = np.array(
+        [[[(v.column, v.row) == (i % side, j % side) for v in views] for i in range(8)] for j in range(8)]
+    )
+    assert at_lens[:, :2] == pytest.approx(points[of[y, x].argmax(-1)], abs=1e-9)
+    in_focus = origin + along * ((focus - origin[:, 2:]) / along[:, 2:])
+    seen_x = (left + x + 0.5 - view.shift_x) / view.scale_x * focus
+    seen_y = (low + y + 0.5 - view.shift_y) / view.scale_y * focus
+    assert in_focus[:, :2] == pytest.approx(np.stack([seen_x, seen_y], 1), abs=1e-9)
+
+
+def test_what_glitters_out_of_focus_is_met_at_many_places():
+    """A small metal ball far out of focus sends on what exact rays see in it: no one place stands for its cell."""
+    i, j = np.indices((13, 24)).reshape(2, -1)
+    theta, phi = i / 12 * math.pi, j / 24 * 2 * math.pi
+    p = 0.25 * np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], 1)
+    k = np.array([24 * a + b for a in range(12) for b in range(24)])
+    right = np.where(k % 24 == 23, k - 23, k + 1)
+    triangles = np.concatenate([np.stack(c, 1) for c in ((k, k + 24, right), (right, k + 24, right + 24))])
+    ball = Mesh(
+        "ball", p.astype(np.float32), triangles.astype(np.int32), normals=(4.0 * p).astype(np.float32),
+        materials=(mirror(0.5),),
+    )  # fmt: skip
+    lamp = rectangle(2.0, 3.0, -2.0, 2.0, 2.5, glow(20.0, lights=True), "lamp")
+    camera = from_above(fstop=0.2, focus_distance=2.0)
+    scene = Scene(Group("root", [ball, lamp]), camera, [], uniform_world((0.02, 0.02, 0.02)))
+    exact = render(scene, dataclasses.replace(SETTINGS, method="distributed", samples=512)).passes["combined"]
+    ours = np.mean(
+        [render(scene, dataclasses.replace(SETTINGS, seed=s)).passes["combined"] for s in range(4)], 0
+    )
+    exact, ours = (a[8:-8, 12:-12, :3].astype(float) for a in (exact, ours))
+    assert ours.mean() == pytest.approx(exact.mean(), rel=0.03)
+    assert np.mean((ours - exact) ** 2 / (exact**2 + 0.01)) < 0.01
 
 
 @pytest.mark.parametrize("blades", [0, 3, 6])

@@ -198,3 +198,25 @@ def test_small_flames_do_not_glitter():
     exact = image(scene, cache, method="distributed", samples=512)[:14]
     ours = np.stack([image(scene, cache, seed=s)[:14] for s in range(4)])
     assert ours.max() < 2.0 * exact.max()
+
+
+def test_rough_metal_is_as_dark_as_what_it_faces():
+    """A wall of car paint over a dark floor, under lamps that shine and a bright sky: wide lobes see all of them."""
+    paint = principled("paint", base_color=(0.8, 0.1, 0.03), metallic=1.0, roughness=0.55)
+    dark = principled("dark", base_color=(0.02, 0.02, 0.02), specular_ior_level=0.0)
+    shining = principled("shining", emission_color=(1.0, 1.0, 1.0), emission_strength=5.0)
+    wall = card("wall", [(-2, 0, 0), (2, 0, 0), (2, 0, 2), (-2, 0, 2)], paint)
+    lamps = [
+        card(f"lamp {k}", [(x, -3, 5), (x + 1.5, -3, 5), (x + 1.5, 1, 5), (x, 1, 5)], shining)
+        for k, x in enumerate((-4.0, -1.0, 2.0))
+    ]
+    camera = Camera(look((0, -4, 1.5), (0, 0, 0.9)))
+    scene = Scene(
+        Group("root", [quad(20.0, material=dark), wall, *lamps]), camera, [], uniform_world((0.4, 0.4, 0.5))
+    )
+    cache = Cache()
+    exact = np.mean([image(scene, cache, method="distributed", samples=256, seed=s) for s in range(2)], 0)
+    ours = np.mean([image(scene, cache, seed=s) for s in range(4)], 0)
+    low, high = np.s_[10:16, 10:-10], np.s_[22:28, 10:-10]
+    for part in (low, high):
+        assert ours[part].mean() == pytest.approx(exact[part].mean(), rel=0.04)

@@ -255,6 +255,7 @@ def test_moved_points_stay_in_the_plane_and_move_everything(seed):
     np.testing.assert_array_equal(there.geometric_normal, points.geometric_normal)
     assert there.object_index is points.object_index and there.ray_length is points.ray_length
     np.testing.assert_array_equal(points.moved(np.zeros((1, 3))).position, points.position)
+    np.testing.assert_allclose(there.moved(step[None]).position - there.position, step[None], atol=1e-9)
 
 
 @settings(max_examples=10, deadline=None)

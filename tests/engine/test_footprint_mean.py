@@ -1,0 +1,181 @@
+"""Means of procedural textures over footprints: against closed forms, and evaluated no more often than needed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pointmr_engine import Camera, Material, RenderSettings, Scene, render, uniform_world
+from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.group import Group
+from pointmr_engine.shading.footprint_mean import ALL, FIRST, GRAZING, NEEDS, footprint_means
+from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.program import compile_graph
+from tests.engine.small_scenes import from_above, quad
+
+BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+
+
+def checkered(scale=1.0, shader="emission", kind="checker_texture") -> Graph:
+    """Black and white squares of side 1 / scale in the object's space."""
+    inputs = {"vector": Link("c", "object"), "scale": scale}
+    if kind == "checker_texture":
+        inputs |= {"color1": WHITE, "color2": BLACK}
+    nodes = {
+        "c": Node("texture_coordinate"),
+        "t": Node(kind, inputs),
+        "e": Node(shader, {"color": Link("t", "color")}),
+    }
+    return Graph(nodes, surface=Link("e", "emission" if shader == "emission" else "bsdf"))
+
+
+def plane_points(position, width, incoming=(0.0, 0.0, 1.0)):
+    """Points (n, 3) of the plane z = 0.5 with square footprints, seen along -incoming."""
+    n = len(position)
+    position = np.column_stack([np.asarray(position, float), np.full(n, 0.5)])
+    up = np.tile(np.array([[0, 0, 1]], np.float32), (n, 1))
+    seen = np.tile(np.array([incoming], np.float32), (n, 1))
+    return SurfacePoints(
+        n, position=position, local=position.astype(np.float32), geometric_normal=up, incoming=seen,
+        footprint=np.full(n, width, np.float32),
+    )  # fmt: skip
+
+
+def taken(points):
+    """`gather` of these points, for footprint_means."""
+
+    def gather(rows):
+        return SurfacePoints(
+            len(rows),
+            **{
+                name: getattr(points, name)[rows]
+                for name in ("position", "local", "geometric_normal", "incoming", "footprint")
+            },
+        )
+
+    return gather
+
+
+def white(program, points, seed=0) -> np.ndarray:
+    """(n,) mean of the texture over the footprints."""
+    rows = np.arange(points.count)
+    means = footprint_means(program.fine_values, taken(points), rows, program.fine_needs, seed)
+    (value,) = means.values()
+    return value[:, 0]
+
+
+@pytest.mark.parametrize("scale", [3.7, 50.0, 1e4])
+def test_far_squares_are_grey(scale):
+    rng = np.random.default_rng(1)
+    program = compile_graph(checkered(scale))
+    points = plane_points(rng.random((400, 2)), 2.0)
+    found = white(program, points)
+    assert found.mean() == pytest.approx(0.5, abs=0.02)
+    assert found.std() < 0.5 / np.sqrt(ALL) * 1.3
+    # at their centres they are black or white
+    centre = program.fine_values(points).popitem()[1]
+    assert set(np.unique(centre)) == {0.0, 1.0}
+
+
+@given(st.floats(0.02, 0.98))
+def test_an_edge_is_resolved_as_far_as_places_are(share):
+    """A footprint of which `share` lies beyond an edge; ALL places, stratified along each axis."""
+    program = compile_graph(checkered(1.0))
+    x = 1.0 - (0.5 - share) * 0.1
+    tilted = (0.0, 0.01, 0.99995)  # so that the footprint's sides are along the axes
+    found = white(program, plane_points([[x, 0.5]], 0.1, tilted))
+    beyond = white(program, plane_points([[1.5, 0.5]], 0.1, tilted))
+    covered = found if beyond[0] == 1.0 else 1.0 - found
+    assert covered[0] == pytest.approx(share, abs=1.01 / FIRST if covered[0] in (0.0, 1.0) else 1.01 / ALL)
+
+
+def test_what_is_even_is_asked_at_a_few_places_only():
+    program, counts = compile_graph(checkered(1.0)), []
+
+    def run(points):
+        counts.append(points.count)
+        return program.fine_values(points)
+
+    # nine footprints within squares, one on a corner
+    position = np.array([[k + 0.5, 0.5] for k in range(9)] + [[3.0, 1.0]])
+    footprint_means(run, taken(plane_points(position, 0.2)), np.arange(10), program.fine_needs)
+    assert counts == [10 * FIRST, ALL - FIRST]
+
+
+@pytest.mark.parametrize("cosine", [1.0, 0.5, 0.1, 0.01])
+def test_places_fill_the_footprint_on_the_surface(cosine):
+    """Width across the view, width / cosine along it."""
+    sine = np.sqrt(1 - cosine**2)
+    points, places = plane_points(np.random.default_rng(2).random((300, 2)), 0.1, (sine, 0.0, cosine)), []
+
+    def run(moved):
+        places.append(moved.position[:, :2])
+        return {"x": moved.position[:, 0].astype(np.float32)}
+
+    footprint_means(run, taken(points), np.arange(300), frozenset({"position"}))
+    offset = places[0] - np.tile(points.position[:, :2], (FIRST, 1))
+    wide = 0.1 / max(cosine, GRAZING)
+    extent = np.abs(offset).max(0)
+    if cosine == 1.0:
+        assert np.linalg.norm(offset, axis=1).max() == pytest.approx(0.5 * 0.1 * np.sqrt(2), rel=0.05)
+    else:
+        assert extent == pytest.approx([0.5 * wide, 0.5 * 0.1], rel=0.05)
+    assert abs(offset.mean(0)) == pytest.approx(np.zeros(2), abs=0.03 * wide)
+
+
+def test_other_seeds_have_other_places():
+    program = compile_graph(checkered(40.0))
+    points = plane_points(np.random.default_rng(3).random((200, 2)), 1.0)
+    first, again, other = white(program, points), white(program, points), white(program, points, seed=1)
+    assert np.array_equal(first, again)
+    assert abs(np.corrcoef(first, other)[0, 1]) < 0.3
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "noise_texture",
+        "voronoi_texture",
+        "white_noise_texture",
+        "brick_texture",
+        "magic_texture",
+        "wave_texture",
+    ],
+)
+def test_every_procedural_texture_is_averaged(kind):
+    graph = checkered(50.0, kind=kind)
+    if kind == "white_noise_texture":
+        del graph.nodes["t"].inputs["scale"]
+    program = compile_graph(graph)
+    points = plane_points(np.random.default_rng(4).random((300, 2)), 3.0)
+    centre = program.fine_values(points).popitem()[1][:, 0]
+    assert white(program, points).std() < 0.6 * centre.std()
+
+
+def test_only_what_is_fine_and_filtered_is_averaged():
+    plain = Graph({"e": Node("emission", {"color": WHITE})}, surface=Link("e", "emission"))
+    assert compile_graph(plain).fine_needs == frozenset()
+    assert compile_graph(checkered(), filtered=False).fine_needs == frozenset()
+    assert compile_graph(checkered()).fine_needs >= NEEDS
+    # bumps difference their heights over the footprint themselves
+    graph = checkered(shader="diffuse")
+    graph.nodes["b"] = Node("bump", {"height": Link("t", "fac")})
+    graph.nodes["e"].inputs = {"color": WHITE, "normal": Link("b", "normal")}
+    assert compile_graph(graph).fine_needs == frozenset()
+
+
+@pytest.mark.parametrize(("method", "bound"), [("raytrace", 0.1), ("forward", 0.17)])
+def test_a_floor_of_far_squares_has_no_moire(method, bound):
+    """Seen straight and towards the horizon: far smaller than a pixel they are grey, but for noise."""
+    floor = quad(2000.0, material=Material("squares", checkered(7.3)))
+    look = np.array([[1, 0, 0, 0], [0, 0.3, -0.954, 0], [0, 0.954, 0.3, 30.0], [0, 0, 0, 1]])
+    cameras = {"straight": from_above(50.0), "horizon": Camera(look)}
+    settings = RenderSettings(32, 24, method=method)
+    settings = dataclasses.replace(settings, forward=dataclasses.replace(settings.forward, shading="full"))
+    for name, camera in cameras.items():
+        scene = Scene(Group("root", [floor]), camera, [], uniform_world((0.5, 0.5, 0.5)))
+        image = render(scene, settings).passes["combined"][..., :3].astype(float)
+        assert image.mean() == pytest.approx(0.5, abs=0.02), name
+        assert image.std() < bound, name
