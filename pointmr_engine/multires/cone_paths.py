@@ -16,8 +16,9 @@ from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gathe
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
+from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share_with_lobes
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
-from pointmr_engine.multires.scatter import STRONG, keep_lobes, restore_lobes, scatter_lobes, share_with_lobes
+from pointmr_engine.multires.scatter import STRONG, scatter_lobes
 from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
 from pointmr_engine.multires.world_sharing import (
     allocate_shares,
@@ -156,7 +157,7 @@ class ConePaths(EdgePaths):
         )  # fmt: skip
 
     def sample_lights(self, m: int, turn=None):
-        """Light samples: of the world and what shines, lobes see their part themselves (scatter.share_with_lobes)."""
+        """Light samples: of the world and what shines, lobes see their part themselves (share_with_lobes)."""
         chosen = super().sample_lights(m, turn)
         chosen.mis[:] = False
         times = self.stage.lights.turns.count(turn)

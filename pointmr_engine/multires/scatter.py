@@ -1,7 +1,8 @@
-"""Where light comes from next: one cone for every glossy and transmitting lobe of a surface point.
+"""Where light comes from next: a cone or a ray for every glossy and transmitting lobe of a surface point.
 
 A lobe's cone leaves in the direction that it favours, as wide as the lobe; its weight is the lobe's albedo for the
-viewer (split sum; Karis 2013). What is weaker than the threshold goes on by chance, so that nothing is lost on average.
+viewer (split sum; Karis 2013). A ray is drawn from the lobe (lobe_rays.py). What is weaker than the threshold goes on by
+chance, so that nothing is lost on average.
 """
 
 from __future__ import annotations
@@ -12,28 +13,25 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
+from pointmr_engine.multires.lobe_rays import draw_direction, takes_ray
+from pointmr_engine.multires.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, WITHIN_LOBE, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d, sample_2d
-from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, SEES_LAMPS, THROUGH, copy_path, copy_ray
 from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
-    ALPHA_X,
-    ALPHA_Y,
     ASHIKHMIN_SHIRLEY,
     GLASS,
     HAS_TRANSMISSION,
     IOR,
     KIND_MASK,
     NORMAL,
-    REFLECTION,
     REFRACTION,
     SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.microfacet import IOR_MATCHED, evaluate, sample
 from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 from pointmr_engine.shading.points import RAY_GLOSSY, RAY_REFLECTION, RAY_SINGULAR, RAY_TRANSMISSION
@@ -48,7 +46,6 @@ STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
-ROUGH = 0.15  # roughness (GGX alpha) above which lobes take rays: their cones would be too wide
 
 
 @device
@@ -179,34 +176,6 @@ def _survives(out, m, chance, weak):
     return True
 
 
-@device
-def _by_chance(lobes, k, j, wi, transmitted, u, v):
-    """A direction of lobe j of point k on one side, by its visible facets, and (rgb) BSDF * cosine / density there.
-
-    The weight is 0 where there is no such direction.
-    """
-    kind = lobes.kind[k, j]
-    none = (0.0, 0.0, 0.0)
-    # which side is given: samples are told so by the first number
-    wo, refracted, singular, _, chance = sample(
-        kind, lobes.data, k, j, lobes.film_table, wi, 0.9999999999 if transmitted else 0.0, u, v
-    )
-    normal = load3(lobes.data, k, j, NORMAL)
-    if (
-        not chance > 0.0
-        or singular
-        or refracted != transmitted
-        or (dot(normal, wo) < 0.0) != transmitted
-        or (dot(row3(lobes.geometric_normal, k), wo) < 0.0) != transmitted
-    ):
-        return wo, none
-    f, pdf, _ = evaluate(kind, lobes.data, k, j, lobes.film_table, wi, wo)
-    if not pdf > 0.0:
-        return wo, none
-    w, scale = load3(lobes.data, k, j, WEIGHT), chance / pdf
-    return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale)
-
-
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
                   record, integrated, small):  # fmt: skip
@@ -257,7 +226,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         for j in range(np.int64(lobes.count[k])):
             integrated[k, j] = False
             r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
-            rough = _roughness(lobes, k, j)
+            rough = mean_roughness(lobes, k, j)
             # at first surfaces the fragments of a pixel share what is to be drawn among them
             seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
             u, v = sample_2d(
@@ -267,7 +236,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
-                ray = _takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(r), small[k], strong)
+                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(r), small[k], strong)
                 integrated[k, j] = (
                     bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
                 )
@@ -279,7 +248,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
-                ray = _takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(g), small[k], strong)
+                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(g), small[k], strong)
                 m = _refract(
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
                     small[k], ray,
@@ -287,76 +256,6 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         if chosen and m == first + 1 and not _survives(out, first, chance, weak):
             m = first
     return m
-
-
-@device
-def _roughness(lobes, k, j):
-    """Mean roughness of lobe j of point k."""
-    if lobes.kind[k, j] & KIND_MASK == ASHIKHMIN_SHIRLEY:
-        return 0.3
-    return math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
-
-
-@device
-def _is_shared(samples, i, glints):
-    """Whether lobes look for what light sample i found."""
-    return samples.kind[i] == TRIANGLE or (glints and samples.kind[i] == LAMP)
-
-
-@uncounted
-def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, integrated, count, kept):
-    """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
-
-    Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
-    the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, they look for lamps that rays can meet, too,
-    where they reflect (SEES_LAMPS). kept (N, L, 3): the lobes' weights, for `restore_lobes`.
-    """
-    for i in range(count):
-        if not _is_shared(samples, i, glints):
-            continue
-        k = np.int64(rows[i])
-        w, wi = row3(samples.direction, i), row3(incoming, k)
-        for j in range(np.int64(lobes.count[k])):
-            share = 1.0
-            base = lobes.kind[k, j] & KIND_MASK
-            if base > TRANSLUCENT:
-                lamp = samples.kind[i] == LAMP
-                normal = load3(lobes.data, k, j, NORMAL)
-                if lamp and not mis_of_lamp[samples.index[i]]:
-                    share = 1.0
-                elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
-                    share = 1.0 if lamp else 0.0
-                elif integrated[k, j] and not lamp:
-                    share = 0.0
-                elif pdf[i] > 0.0:
-                    rough = _roughness(lobes, k, np.int64(j))
-                    ratio = lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
-                    share = 1.0 / (1.0 + ratio * ratio)
-            for c in range(3):
-                kept[i, j, c] = lobes.data[k, j, WEIGHT + c]
-                lobes.data[k, j, WEIGHT + c] *= share
-
-
-@uncounted
-def restore_lobes(lobes, rows, samples, glints, count, kept):
-    """Undo `share_with_lobes`."""
-    for i in range(count):
-        if _is_shared(samples, i, glints):
-            k = np.int64(rows[i])
-            for j in range(np.int64(lobes.count[k])):
-                for c in range(3):
-                    lobes.data[k, j, WEIGHT + c] = kept[i, j, c]
-
-
-@device
-def _takes_ray(lobes, k, j, rough, largest, small, strong):
-    """Whether a lobe of throughput `largest` takes a ray by chance instead of a cone."""
-    kind = lobes.kind[k, j]
-    if kind & SINGULAR_LOBE or kind & KIND_MASK == ASHIKHMIN_SHIRLEY:
-        return False
-    if kind & KIND_MASK != REFLECTION and abs(np.float64(lobes.data[k, j, IOR]) - 1.0) < IOR_MATCHED:
-        return False
-    return small or largest < strong or rough > ROUGH
 
 
 @device
@@ -387,10 +286,10 @@ def _reflect(
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
-    rough = _roughness(lobes, k, j)
+    rough = mean_roughness(lobes, k, j)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     if ray:
-        wo, weight = _by_chance(lobes, k, j, wi, False, u, v)
+        wo, weight = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
             _send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
                       np.int64(1), np.int64(0), record, rough)  # fmt: skip
@@ -433,13 +332,13 @@ def _refract(paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out,
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
-    rough = _roughness(lobes, k, j)
+    rough = mean_roughness(lobes, k, j)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     ior = np.float64(lobes.data[k, j, IOR])
     inverse = 1.0 / ior if ior > 0.0 else 1.0
     bend = abs(1.0 - inverse) * rough
     if ray:
-        wo, weight = _by_chance(lobes, k, j, wi, True, u, v)
+        wo, weight = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
             _send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
                       RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
@@ -479,27 +378,3 @@ def _pass(paths, k, out, m, hits, frames, limits, r, g, b):
     out.rays.t_min[m] = hits.t[k] + frames.offset[k]
     out.rays.skip_triangle[m] = hits.triangle[k]
     out.rays.skip_path[m] = hits.path[k]
-
-
-@uncounted
-def keep_lobes(lobes, alpha, integrated, count):
-    """Drop the lobes of points 0..count that only cones can follow: perfect mirrors and clear glass.
-
-    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals left it; integrated (N, L): see scatter_lobes.
-    """
-    for k in range(count):
-        kept = np.int64(0)
-        for j in range(np.int64(lobes.count[k])):
-            kind = lobes.kind[k, j]
-            if kind & SINGULAR_LOBE:
-                continue
-            if kept != j:
-                lobes.kind[k, kept] = kind
-                integrated[k, kept] = integrated[k, j]
-                alpha[k, kept, 0], alpha[k, kept, 1] = alpha[k, j, 0], alpha[k, j, 1]
-                for c in range(lobes.data.shape[2]):
-                    lobes.data[k, kept, c] = lobes.data[k, j, c]
-            kept += 1
-        lobes.count[k] = kept
-        if kept == 0:
-            lobes.flags[k] = 0

@@ -1,0 +1,107 @@
+"""What lobes and light samples leave each other: of light that both find, and of lobes that only cones can follow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.multires.lobe_view import lobe_pdf
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
+from pointmr_engine.shading.bsdf.layout import (
+    ALPHA_X,
+    ALPHA_Y,
+    ASHIKHMIN_SHIRLEY,
+    GLASS,
+    KIND_MASK,
+    NORMAL,
+    REFRACTION,
+    SINGULAR_LOBE,
+    TRANSLUCENT,
+    WEIGHT,
+)
+from pointmr_engine.shading.bsdf.vector import dot, load3, row3
+
+
+@device
+def mean_roughness(lobes, k, j):
+    """Mean roughness of lobe j of point k."""
+    if lobes.kind[k, j] & KIND_MASK == ASHIKHMIN_SHIRLEY:
+        return 0.3
+    return math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+
+
+@device
+def _is_shared(samples, i, glints):
+    """Whether lobes look for what light sample i found."""
+    return samples.kind[i] == TRIANGLE or (glints and samples.kind[i] == LAMP)
+
+
+@uncounted
+def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, integrated, count, kept):
+    """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
+
+    Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
+    the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, they look for lamps that rays can meet, too,
+    where they reflect (SEES_LAMPS). kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    """
+    for i in range(count):
+        if not _is_shared(samples, i, glints):
+            continue
+        k = np.int64(rows[i])
+        w, wi = row3(samples.direction, i), row3(incoming, k)
+        for j in range(np.int64(lobes.count[k])):
+            share = 1.0
+            base = lobes.kind[k, j] & KIND_MASK
+            if base > TRANSLUCENT:
+                lamp = samples.kind[i] == LAMP
+                normal = load3(lobes.data, k, j, NORMAL)
+                if lamp and not mis_of_lamp[samples.index[i]]:
+                    share = 1.0
+                elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
+                    share = 1.0 if lamp else 0.0
+                elif integrated[k, j] and not lamp:
+                    share = 0.0
+                elif pdf[i] > 0.0:
+                    rough = mean_roughness(lobes, k, np.int64(j))
+                    ratio = lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
+                    share = 1.0 / (1.0 + ratio * ratio)
+            for c in range(3):
+                kept[i, j, c] = lobes.data[k, j, WEIGHT + c]
+                lobes.data[k, j, WEIGHT + c] *= share
+
+
+@uncounted
+def restore_lobes(lobes, rows, samples, glints, count, kept):
+    """Undo `share_with_lobes`."""
+    for i in range(count):
+        if _is_shared(samples, i, glints):
+            k = np.int64(rows[i])
+            for j in range(np.int64(lobes.count[k])):
+                for c in range(3):
+                    lobes.data[k, j, WEIGHT + c] = kept[i, j, c]
+
+
+@uncounted
+def keep_lobes(lobes, alpha, integrated, count):
+    """Drop the lobes of points 0..count that only cones can follow: perfect mirrors and clear glass.
+
+    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals left it; integrated (N, L): see scatter_lobes.
+    """
+    for k in range(count):
+        kept = np.int64(0)
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            if kind & SINGULAR_LOBE:
+                continue
+            if kept != j:
+                lobes.kind[k, kept] = kind
+                integrated[k, kept] = integrated[k, j]
+                alpha[k, kept, 0], alpha[k, kept, 1] = alpha[k, j, 0], alpha[k, j, 1]
+                for c in range(lobes.data.shape[2]):
+                    lobes.data[k, kept, c] = lobes.data[k, j, c]
+            kept += 1
+        lobes.count[k] = kept
+        if kept == 0:
+            lobes.flags[k] = 0
