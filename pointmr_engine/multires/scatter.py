@@ -1,8 +1,8 @@
 """Where light comes from next: a cone or a ray for every glossy and transmitting lobe of a surface point.
 
 A lobe's cone leaves in the direction that it favours, as wide as the lobe; its weight is the lobe's albedo for the
-viewer (split sum; Karis 2013). A ray is drawn from the lobe (lobe_rays.py). What is weaker than the threshold goes on by
-chance, so that nothing is lost on average.
+viewer (split sum; Karis 2013). A ray is drawn from the lobe (lobe_rays.py). What is weaker than the threshold goes on
+by chance, so that nothing is lost on average.
 """
 
 from __future__ import annotations
