@@ -16,6 +16,7 @@ from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gathe
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
+from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share_with_lobes
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
@@ -76,6 +77,7 @@ class ConePaths(EdgePaths):
         self.then = self.met
         self.masks = np.empty(n, np.uint64)
         self.lobe_alpha = np.zeros(n, np.float32)
+        self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
         self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
         self.going = 0
 
@@ -272,7 +274,7 @@ class ConePaths(EdgePaths):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self.none_small if self.small is None else self.small,
+            self.integrated, self.none_small if self.small is None else self.small, self.limit,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:

@@ -17,18 +17,20 @@ from pointmr_engine.shading.bsdf.layout import (
 from pointmr_engine.shading.bsdf.microfacet import IOR_MATCHED, evaluate, sample
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
-ROUGH = 0.15  # roughness (GGX alpha) above which lobes take rays: their cones would be too wide
+# roughness (GGX alpha) above which lobes take rays, at one cone a pixel: their cones would be too wide. With more
+# cones it is less, as the rays' noise is and the cones' bias is not
+ROUGH = 0.15
 
 
 @device
-def takes_ray(lobes, k, j, rough, largest, small, strong):
-    """Whether a lobe of throughput `largest` takes a ray by chance instead of a cone."""
+def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
+    """Whether a lobe of throughput `largest` takes a ray by chance instead of a cone. limit: ROUGH, for these cones."""
     kind = lobes.kind[k, j]
     if kind & SINGULAR_LOBE or kind & KIND_MASK == ASHIKHMIN_SHIRLEY:
         return False
     if kind & KIND_MASK != REFLECTION and abs(np.float64(lobes.data[k, j, IOR]) - 1.0) < IOR_MATCHED:
         return False
-    return small or largest < strong or rough > ROUGH
+    return small or largest < strong or rough > limit
 
 
 @device

@@ -178,12 +178,13 @@ def _survives(out, m, chance, weak):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small):  # fmt: skip
+                  record, integrated, small, limit):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
     transparency is a path without a cone of its own: the ray goes on. integrated (N, L) bool: lobes whose cones
     find all that shines on them, without chance. small (N,) bool: points that weigh too little to be worth cones.
+    limit: roughness above which lobes take rays.
     """
     m = np.int64(0)
     for k in range(n):
@@ -236,7 +237,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
-                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(r), small[k], strong)
+                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(r), small[k], strong)
                 integrated[k, j] = (
                     bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
                 )
@@ -248,7 +249,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
-                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, _largest(g), small[k], strong)
+                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(g), small[k], strong)
                 m = _refract(
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
                     small[k], ray,
