@@ -176,6 +176,21 @@ def _survives(out, m, chance, weak):
     return True
 
 
+@device
+def _place(tables, samples, slot, bounce, k, j):
+    """Two random numbers for lobe j of point k: at first surfaces the fragments of a pixel share them out."""
+    seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
+    return sample_2d(tables, seed, np.uint32(LOBE_PLACES + 16 * bounce + (j & 15)), samples.number[slot])
+
+
+@device
+def _no_cone(record, m, alpha):
+    """Row m of the cones is a ray, of what kind `alpha` says (lobe_view)."""
+    record.alpha[m] = alpha
+    record.part[m] = 0
+    record.cones.t_min[m] = record.cones.t_max[m] = 0.0
+
+
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
                   record, integrated, small, limit):  # fmt: skip
@@ -220,19 +235,12 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         before += max(_largest(clear), 0.0)
         if f > 0.0:
             _pass(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
-            record.alpha[m] = STRAIGHT
-            record.part[m] = 0
-            record.cones.t_min[m] = record.cones.t_max[m] = 0.0
+            _no_cone(record, m, STRAIGHT)
             m += 1
         for j in range(np.int64(lobes.count[k])):
             integrated[k, j] = False
             r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
             rough = mean_roughness(lobes, k, j)
-            # at first surfaces the fragments of a pixel share what is to be drawn among them
-            seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
-            u, v = sample_2d(
-                tables, seed, np.uint32(LOBE_PLACES + 16 * bounce + (j & 15)), samples.number[slot]
-            )
             f = _branch(chosen, _largest(r), before, target, total)
             before += _largest(r)
             if f > 0.0:
@@ -241,18 +249,20 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 integrated[k, j] = (
                     bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
                 )
+                u, v = _place(tables, samples, slot, bounce, k, j)
                 m = _reflect(
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
-                    glints, integrated[k, j], small[k], ray,
+                    glints, integrated[k, j], small[k], rough, ray,
                 )  # fmt: skip
             f = _branch(chosen, _largest(g), before, target, total)
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
                 ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(g), small[k], strong)
+                u, v = _place(tables, samples, slot, bounce, k, j)
                 m = _refract(
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
-                    small[k], ray,
+                    small[k], rough, ray,
                 )  # fmt: skip
         if chosen and m == first + 1 and not _survives(out, first, chance, weak):
             m = first
@@ -269,25 +279,22 @@ def _send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind
         w[2] * t[2] * factor, wo[0], wo[1], wo[2], kind, glossy, transmission,
     )  # fmt: skip
     out.state.spread[m] = paths.state.spread[k]
-    record.alpha[m] = WITHIN_LOBE
+    _no_cone(record, m, WITHIN_LOBE)
     record.rough[m] = rough
-    record.part[m] = 0
-    record.cones.t_min[m] = record.cones.t_max[m] = 0.0
 
 
 @device
 def _reflect(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
-    small, ray,
+    small, rough, ray,
 ):  # fmt: skip
     """The ray of a lobe that reflects, its cone, or the two of one that matters; returns the next row.
 
-    w: its throughput; factor: of chance, in it; u, v: random numbers for the ray.
+    w: its throughput; factor: of chance, in it; u, v: random numbers for the ray; rough: mean_roughness.
     """
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
-    rough = mean_roughness(lobes, k, j)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     if ray:
         wo, weight = draw_direction(lobes, k, j, wi, False, u, v)
@@ -328,12 +335,13 @@ def _reflect(
 
 
 @device
-def _refract(paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, small, ray):
+def _refract(
+    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, small, rough, ray
+):
     """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`."""
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
-    rough = mean_roughness(lobes, k, j)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     ior = np.float64(lobes.data[k, j, IOR])
     inverse = 1.0 / ior if ior > 0.0 else 1.0

@@ -110,7 +110,7 @@ class Shader:
         def points(index: np.ndarray):
             return gather(self.geometry, rays, hits, frames, index, program.fine_needs, state, material)
 
-        return seen, footprint_means(program.fine_values, points, rows[seen], program.fine_needs, self.seed)
+        return seen, footprint_means(program.fine_values, points, rows[seen], program.fine_reads, self.seed)
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

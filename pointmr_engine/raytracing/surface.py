@@ -23,12 +23,11 @@ from pointmr_engine.raytracing.frames import (
 )
 from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.scene.mesh import GENERATED
+from pointmr_engine.shading.footprint_mean import GRAZING
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.values import cross
 
 __all__ = ["Frames", "RayState", "allocate_frames", "allocate_ray_state", "frames", "gather", "points_at"]
-
-GRAZING = 0.05  # cosine below which footprints on a surface grow no further
 
 
 class RayState(NamedTuple):

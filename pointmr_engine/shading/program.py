@@ -115,8 +115,8 @@ class Program:
 
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
-    transparency_needs, emission_needs: the same for `transparency` and `emission`. fine_needs: for `fine_values` and
-        shading.footprint_mean; empty where nothing is fine.
+    transparency_needs, emission_needs: the same for `transparency` and `emission`. fine_reads: for `fine_values`;
+        fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     opaque: light never passes straight through; emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never
@@ -147,7 +147,8 @@ class Program:
         self._fine_plan = Plan(steps, fine) if fine else None
         self._fine_names = {(s.step, s.output) for s in fine}
         self.needs: frozenset[str] = self._plan.needs
-        self.fine_needs: frozenset[str] = self._fine_plan.needs | NEEDS if fine else frozenset()
+        self.fine_reads: frozenset[str] = self._fine_plan.needs if fine else frozenset()
+        self.fine_needs: frozenset[str] = self.fine_reads | NEEDS if fine else frozenset()
         self.transparency_needs: frozenset[str] = self._transparency_plan.needs
         self.emission_needs: frozenset[str] = self._emission_plan.needs
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
@@ -174,7 +175,7 @@ class Program:
         return [_fill(leaf, memo) for leaf in self.leaves]
 
     def fine_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
-        """What fine textures decide (shading.footprint_mean), by names of its own; reads `fine_needs`."""
+        """What fine textures decide (shading.footprint_mean), by names of its own; reads `fine_reads`."""
         with np.errstate(all="ignore"):
             memo = self._fine_plan.run(points)
         return {name: memo[name] for name in self._fine_names}
