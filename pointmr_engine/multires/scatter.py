@@ -310,7 +310,7 @@ def _reflect(
     d = towards_normal(nm, d, rough)
     if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
         return m
-    two = singular == 0 and _largest(w) > STRONG
+    two = singular == 0 and not small and _largest(w) > STRONG
     wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
     for part in range(2 if two else 1):
