@@ -154,7 +154,7 @@ def bmw27():
     """Blender's old benchmark: cars lit by emissive meshes, glass, metal, depth of field."""
 
 
-@real("gn_trees/LowpolyGeometrynodeTree.blend", (240, 135))
+@real("gn_trees/LowpolyGeometrynodeTree.blend", (240, 135), transparent_max_bounces=36)  # as the file has it
 def gn_trees():
     """45,839 instances scattered by geometry nodes, leaves cut out by alpha; it has no camera of its own."""
     frame((0.35, -1.0, 0.28), lens=35, margin=0.55)

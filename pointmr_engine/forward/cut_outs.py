@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.forward.cut_out_cover import cut_out_of  # noqa: F401
 from pointmr_engine.forward.draw import draw_triangle, to_target
 from pointmr_engine.forward.opacity_classes import lattice, opacity_classes
@@ -49,15 +50,11 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
     total = known = 0
     for part, mesh in enumerate(geometry.parts):
         n = len(mesh.triangles)
-        slots = geometry.tables.slot_material[geometry.tables.first_slot[part] :][
-            : geometry.tables.slots[part]
-        ]
-        if not n or all(programs[m].opaque for m in slots):
+        if not n:
             continue
-        slot = np.zeros(n, np.int64)
-        if mesh.material_index is not None and len(slots) > 1:
-            slot = np.clip(np.asarray(mesh.material_index, np.int64), 0, len(slots) - 1)
-        material = slots[slot]
+        material = part_materials(geometry, part)
+        if all(programs[m].opaque for m in np.unique(material)):
+            continue
         mask = np.full(n, -1, np.int32)
         for m in np.unique(material):
             if programs[m].opaque:
@@ -85,6 +82,14 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
             at += len(chosen)
     mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
     return CutOuts(first, mask, opacity[0]), CutOuts(first, mask, opacity[1])
+
+
+def part_materials(geometry: Geometry, part: int) -> np.ndarray:
+    """(n,) int32 index of the material of each of a part's triangles."""
+    n = len(geometry.parts[part].triangles)
+    material = np.empty(n, np.int32)
+    materials_of(geometry.tables, np.full(n, part, np.int32), np.arange(n, dtype=np.int32), material)
+    return material
 
 
 def _opacity(

@@ -35,6 +35,10 @@ class WalkArrays(NamedTuple):
     part_root: np.ndarray  # (parts,) int32: that of the part's shape
     part_opaque: np.ndarray  # (parts,) int8: 1 all of it blocks light, 0 nothing, -1 look at the slot
     slot_opaque: np.ndarray  # (slots,) bool
+    clear_first: np.ndarray  # (parts,) int64: row of a part's triangle 0 in clear_row, -1: it has none
+    clear_row: np.ndarray  # (K,) int32: first row of a triangle's cells in clear_bits, -1: it has none
+    clear_bits: np.ndarray  # (rows,) int64: of a row of cells, those where the triangle lets all light through
+    clear_side: int  # cells along a triangle's edge, 64 at most; 0: no triangle has any
     parts: PartTables
     instances: BatchTables
     stack_size: int  # entries that a walk may need
@@ -68,6 +72,10 @@ class WalkPointers(NamedTuple):
     part_slots: int
     part_opaque: int
     slot_opaque: int
+    clear_first: int
+    clear_row: int
+    clear_bits: int
+    clear_side: int  # a number, not an address
     first_record: int
     has_attributes: int
     transforms: int
@@ -88,6 +96,8 @@ class WalkPointers(NamedTuple):
 def _pointers(arrays: WalkArrays) -> WalkPointers:
     found = {}
     for name in WalkPointers._fields[1:]:
+        if name == "clear_side":
+            continue
         if hasattr(arrays, name):
             array = getattr(arrays, name)
         elif name.startswith("part_"):
@@ -95,7 +105,7 @@ def _pointers(arrays: WalkArrays) -> WalkPointers:
         else:
             array = getattr(arrays.instances, name)
         found[name] = address_of(array)
-    return WalkPointers(root=len(arrays.group_root) - 1, **found)
+    return WalkPointers(root=len(arrays.group_root) - 1, clear_side=arrays.clear_side, **found)
 
 
 class Acceleration:
@@ -245,6 +255,10 @@ def build_acceleration(geometry: Geometry, progress: Callable[[float], None] | N
         part_root=shape_root[geometry.tables.shape],
         part_opaque=np.ones(len(geometry.parts), np.int8),
         slot_opaque=np.ones(len(geometry.tables.slot_material), np.bool_),
+        clear_first=np.full(len(geometry.parts), -1, np.int64),
+        clear_row=np.zeros(0, np.int32),
+        clear_bits=np.zeros(0, np.int64),
+        clear_side=0,
         parts=geometry.tables,
         instances=geometry.instances,
         stack_size=int(group_stack.max(initial=0)) + 8,
@@ -285,4 +299,18 @@ def set_opaque(acceleration: Acceleration, opaque: np.ndarray) -> Acceleration:
         if used.all() or not used.any():
             part[p] = used[0]
     arrays = acceleration.arrays._replace(slot_opaque=slots, part_opaque=part)
+    return Acceleration(acceleration.geometry, arrays, acceleration.warnings)
+
+
+def set_clear(
+    acceleration: Acceleration, first: np.ndarray, row: np.ndarray, bits: np.ndarray, side: int
+) -> Acceleration:
+    """The same structure (shared, not copied), in which `walk.shadow` passes clear cells of triangles.
+
+    As WalkArrays has them: first (parts,) int64, row (K,) int32, bits (rows,) int64; side: cells along an edge. Bit p of
+    row q is the cell at barycentric weights (p..p + 1) / side of vertex 1 and (q..q + 1) / side of vertex 2.
+    """
+    arrays = acceleration.arrays._replace(
+        clear_first=first, clear_row=row, clear_bits=bits, clear_side=int(side)
+    )
     return Acceleration(acceleration.geometry, arrays, acceleration.warnings)

@@ -64,7 +64,6 @@ class ConePaths(EdgePaths):
         self.ratios: dict = {}
         self.small, self.asked = None, 0
         self.shares, self.counts_rays = None, False
-        self.heads, self.after = np.empty((0, 0), np.int32), np.empty(0, np.int32)
         self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
@@ -83,8 +82,8 @@ class ConePaths(EdgePaths):
 
     def trace(self, space, hierarchy, values, first: int, count: int) -> None:
         n = len(space.fragments.entry) if self.light.shares_world else 0
-        if n != len(self.after):
-            self.shares, self.after = allocate_shares(n) if n else None, np.empty(n, np.int32)
+        if n != (0 if self.shares is None else len(self.shares.rays)):
+            self.shares = allocate_shares(n) if n else None
         super().trace(space, hierarchy, values, first, count)
 
     def shaded(self, now, n: int, bounce: int) -> None:
@@ -150,13 +149,8 @@ class ConePaths(EdgePaths):
         """Add what the fragments 0..count of a tile receive of the world together to space.light."""
         if self.shares is None:
             return
-        f, image, shape = space.fragments, space.image, space.used.shape
-        if self.heads.shape != shape:
-            self.heads = np.empty(shape, np.int32)
-        share_light(
-            f.x, f.y, np.int64(image.subpixels), np.float64(image.reach), self.shares, np.int64(count),
-            self.heads, self.after, space.light,
-        )  # fmt: skip
+        f, image = space.fragments, space.image
+        share_light(f.x, f.y, image.subpixels, image.reach, self.shares, count, space.used.shape, space.light)
 
     def sample_lights(self, m: int, turn=None):
         """Light samples: of the world and what shines, lobes see their part themselves (share_with_lobes)."""

@@ -19,6 +19,7 @@ from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.looks import look_where_seen
 from pointmr_engine.multires.merge import choose_seen, merge_fragments
+from pointmr_engine.multires.opacity_micromap import with_micromap
 from pointmr_engine.multires.world_sharing import REACH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
@@ -46,6 +47,8 @@ class TracedImage(Image):
     """One image of method "raytrace": everything that its tiles share."""
 
     def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
+        if stage.needs.transparent_shadows:
+            stage = replace(stage, acceleration=with_micromap(stage.acceleration, sampler))
         self.stage = stage
         self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
         alpha = settings.raytrace.visibility == "alpha"

@@ -13,13 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.jit import device, summed, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
-from pointmr_engine.shading.bsdf.vector import row3
 
 REACH = 2.0  # cones: how far apart fragments share
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
+
+# Rows of the table of what fragments tell each other, by channel or axis: place in the image, what they have met, place
+# and normal in the world, 1 where they reflect a channel, and what arrives of it.
+AT_X, AT_Y, NEARNESS, RAYS, PLACE, FACING, HEARD, ARRIVED = 0, 1, 2, 3, 4, 7, 10, 13
+COLUMNS = 16
 
 
 class WorldShares(NamedTuple):
@@ -100,90 +104,126 @@ def take_light(radiance, before, first, count, shares):
 
 
 @uncounted
-def _by_pixel(x, y, subpixels, shares, count, head, after):
-    """Lists of the fragments 0..count that share: head (rows, columns) int32 of each pixel, after (F,) int32."""
-    head[:] = -1
+def _by_pixel(x, y, subpixels, shares, count, start, order):
+    """Order the fragments 0..count that share by pixel: start (rows, columns + 1) int32 of each in order (F,) int32.
+
+    Rows of pixels lie one behind the other, so that those of neighbours in a row are one run.
+    """
+    rows, columns = start.shape[0], start.shape[1] - 1
+    start[:] = 0
     for k in range(count):
-        if max(shares.albedo[k, 0], shares.albedo[k, 1], shares.albedo[k, 2]) > 0.0:
-            i = min(max(np.int64(x[k]) // subpixels, 0), head.shape[1] - 1)
-            j = min(max(np.int64(y[k]) // subpixels, 0), head.shape[0] - 1)
-            after[k] = head[j, i]
-            head[j, i] = k
+        if _shares(shares, k):
+            i, j = _pixel_of(x[k], y[k], subpixels, rows, columns)
+            start[j, i] += 1
+    total = 0
+    for j in range(rows):
+        for i in range(columns + 1):
+            total += start[j, i]
+            start[j, i] = total
+    for k in range(count - 1, -1, -1):
+        if _shares(shares, k):
+            i, j = _pixel_of(x[k], y[k], subpixels, rows, columns)
+            start[j, i] -= 1
+            order[start[j, i]] = k
+    return total
 
 
 @device
-def _hidden_at(shares, lists, x, y, reach, k):
-    """How near things are, 1 / metres, by all that the fragments about k have met."""
-    head, after, size = lists
-    i, j, wide = np.int64(x[k]) // size, np.int64(y[k]) // size, np.int64(math.ceil(reach / size))
-    near, rays = 0.0, 0.0
-    for q in range(max(j - wide, 0), min(j + wide + 1, head.shape[0])):
-        for p in range(max(i - wide, 0), min(i + wide + 1, head.shape[1])):
-            g = np.int64(head[q, p])
-            while g >= 0:
-                if abs(x[g] - x[k]) <= reach and abs(y[g] - y[k]) <= reach:
-                    near += shares.nearness[g]
-                    rays += shares.rays[g]
-                g = np.int64(after[g])
-    return near / max(rays, 1.0)
+def _shares(shares, k):
+    return max(shares.albedo[k, 0], shares.albedo[k, 1], shares.albedo[k, 2]) > 0.0
 
 
 @device
-def _weight(shares, near, k, g):
-    """Of what fragment g received, for k, where things are as near as `near`."""
-    if g == k:
-        return 1.0
-    distance, facing = 0.0, 0.0
-    for c in range(3):
-        distance += (shares.position[g, c] - shares.position[k, c]) ** 2
-        facing += np.float64(shares.normal[g, c]) * np.float64(shares.normal[k, c])
-    change = math.sqrt(distance) * near + math.sqrt(max(1.0 - facing, 0.0))
-    return max(1.0 - change / ERROR, 0.0)
-
-
-@device
-def _add_received(shares, lists, x, y, reach, k, out):
-    """Add to row k of `out` the weighted mean of what the fragments about k received."""
-    near = _hidden_at(shares, lists, x, y, reach, k)
-    head, after, size = lists
-    i, j, wide = np.int64(x[k]) // size, np.int64(y[k]) // size, np.int64(math.ceil(reach / size))
-    sums = (0.0, 0.0, 0.0)
-    weights = (0.0, 0.0, 0.0)
-    for q in range(max(j - wide, 0), min(j + wide + 1, head.shape[0])):
-        for p in range(max(i - wide, 0), min(i + wide + 1, head.shape[1])):
-            g = np.int64(head[q, p])
-            while g >= 0:
-                if abs(x[g] - x[k]) <= reach and abs(y[g] - y[k]) <= reach:
-                    w = _weight(shares, near, k, g)
-                    if w > 0.0:
-                        a, light = row3(shares.albedo, g), row3(shares.light, g)
-                        u = (w * (a[0] > DIM), w * (a[1] > DIM), w * (a[2] > DIM))
-                        weights = (weights[0] + u[0], weights[1] + u[1], weights[2] + u[2])
-                        sums = (
-                            sums[0] + u[0] * light[0] / max(a[0], DIM),
-                            sums[1] + u[1] * light[1] / max(a[1], DIM),
-                            sums[2] + u[2] * light[2] / max(a[2], DIM),
-                        )
-                g = np.int64(after[g])
-    for c in range(3):
-        if weights[c] > 0.0 and shares.albedo[k, c] > DIM:
-            out[k, c] += shares.albedo[k, c] * sums[c] / weights[c]
-        else:
-            out[k, c] += shares.light[k, c]
+def _pixel_of(x, y, subpixels, rows, columns):
+    i, j = np.int64(x) // subpixels, np.int64(y) // subpixels
+    return min(max(i, 0), columns - 1), min(max(j, 0), rows - 1)
 
 
 @uncounted
-def share_light(x, y, subpixels, reach, shares, count, head, after, out):
-    """Add what fragments 0..count of a tile share to out (F, 3) float32.
+def _gather(x, y, shares, order, total, table):
+    """What fragments order[0..total] tell their neighbours, to the columns of table (COLUMNS, F) float64."""
+    for s in range(total):
+        k = np.int64(order[s])
+        table[AT_X, s], table[AT_Y, s] = x[k], y[k]
+        table[NEARNESS, s], table[RAYS, s] = shares.nearness[k], shares.rays[k]
+        for c in range(3):
+            albedo = np.float64(shares.albedo[k, c])
+            table[PLACE + c, s], table[FACING + c, s] = shares.position[k, c], shares.normal[k, c]
+            table[HEARD + c, s] = 1.0 if albedo > DIM else 0.0
+            table[ARRIVED + c, s] = shares.light[k, c] / albedo if albedo > DIM else 0.0
 
-    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; head (rows, columns) int32 of
-    the tile's pixels and after (F,) int32 to work in.
+
+@summed
+def _met_about(table, first, end, x, y, reach):
+    """(sum of 1 / metres, rays) of what the fragments first..end within reach of x, y have met."""
+    near, rays = 0.0, 0.0
+    for g in range(first, end):
+        within = (abs(table[AT_X, g] - x) <= reach) & (abs(table[AT_Y, g] - y) <= reach)
+        near += table[NEARNESS, g] if within else 0.0
+        rays += table[RAYS, g] if within else 0.0
+    return near, rays
+
+
+@summed
+def _received_about(table, first, end, s, reach, near, sums):
+    """Add to sums (6,) the weights and the weighted light of fragments first..end about s, as far as they share."""
+    x, y, px, py, pz = table[AT_X, s], table[AT_Y, s], table[PLACE, s], table[PLACE + 1, s], table[PLACE + 2, s]
+    nx, ny, nz = table[FACING, s], table[FACING + 1, s], table[FACING + 2, s]
+    u, v, w, r, g, b = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for t in range(first, end):
+        dx, dy, dz = table[PLACE, t] - px, table[PLACE + 1, t] - py, table[PLACE + 2, t] - pz
+        facing = table[FACING, t] * nx + table[FACING + 1, t] * ny + table[FACING + 2, t] * nz
+        change = math.sqrt(dx * dx + dy * dy + dz * dz) * near + math.sqrt(max(1.0 - facing, 0.0))
+        within = (abs(table[AT_X, t] - x) <= reach) & (abs(table[AT_Y, t] - y) <= reach)
+        weight = max(1.0 - change / ERROR, 0.0) if within else 0.0
+        weight = 1.0 if t == s else weight
+        u += weight * table[HEARD, t]
+        v += weight * table[HEARD + 1, t]
+        w += weight * table[HEARD + 2, t]
+        r += weight * table[ARRIVED, t]
+        g += weight * table[ARRIVED + 1, t]
+        b += weight * table[ARRIVED + 2, t]
+    sums[0] += u
+    sums[1] += v
+    sums[2] += w
+    sums[3] += r
+    sums[4] += g
+    sums[5] += b
+
+
+def share_light(x, y, subpixels: int, reach: float, shares: WorldShares, count: int, shape, out) -> None:
+    """Add what fragments 0..count of a tile of `shape` pixels (rows, columns) share to out (F, 3) float32.
+
+    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share.
     """
-    _by_pixel(x, y, subpixels, shares, count, head, after)
-    lists = head, after, subpixels
-    for j in range(head.shape[0]):
-        for i in range(head.shape[1]):
-            k = np.int64(head[j, i])
-            while k >= 0:
-                _add_received(shares, lists, x, y, reach, k, out)
-                k = np.int64(after[k])
+    start, order = np.empty((shape[0], shape[1] + 1), np.int32), np.empty(count, np.int32)
+    table, n = np.empty((COLUMNS, count)), np.int64(count)
+    total = _by_pixel(x, y, np.int64(subpixels), shares, n, start, order)
+    _gather(x, y, shares, order, np.int64(total), table)
+    _add_received(shares, start, order, table, np.int64(subpixels), np.float64(reach), np.empty(6), out)
+
+
+@uncounted
+def _add_received(shares, start, order, table, subpixels, reach, sums, out):
+    """Add what the fragments of `table` receive together to out; sums (6,) float64 to work in."""
+    rows, columns = start.shape[0], start.shape[1] - 1
+    wide = np.int64(math.ceil(reach / subpixels))
+    for j in range(rows):
+        low, high = max(j - wide, 0), min(j + wide + 1, rows)
+        for i in range(columns):
+            left, right = max(i - wide, 0), min(i + wide + 1, columns)
+            for s in range(start[j, i], start[j, i + 1]):
+                near, rays = 0.0, 0.0
+                for q in range(low, high):
+                    some = _met_about(table, start[q, left], start[q, right], table[AT_X, s], table[AT_Y, s], reach)
+                    near, rays = near + some[0], rays + some[1]
+                near /= max(rays, 1.0)
+                sums[:] = 0.0
+                for q in range(low, high):
+                    _received_about(table, start[q, left], start[q, right], s, reach, near, sums)
+                k = np.int64(order[s])
+                for c in range(3):
+                    if sums[c] > 0.0 and shares.albedo[k, c] > DIM:
+                        out[k, c] += shares.albedo[k, c] * sums[3 + c] / sums[c]
+                    else:
+                        out[k, c] += shares.light[k, c]

@@ -23,3 +23,15 @@ merged = njit(
     forceinline=True,
     _nrt=False,
 )
+
+# The same as `device` for loops that sum floats over long runs: the order of a sum's terms is LLVM's choice, so that it
+# can add vectors. For sums that never mean more than their rounding.
+summed = njit(
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+    fastmath={"reassoc"},
+    _nrt=False,
+)

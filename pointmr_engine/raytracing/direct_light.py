@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.image.film import clamp_light
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.hashing import hash_path
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.light_sampling import NONE, LightSamples
@@ -18,6 +19,7 @@ from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION
 from pointmr_engine.shading.lobes import evaluate
 
+FAINT = 0.01  # of a shadow ray's light, for each surface that it has passed: below what is left, chance decides
 _SHORT = 1.0 - 1e-6  # shadow rays end this much before the light, so as not to meet what it is made of
 
 
@@ -27,14 +29,15 @@ class ShadowRays(NamedTuple):
     rays: Rays
     light: np.ndarray  # (N, 3) float64
     slot: np.ndarray  # (N,) int32
+    whole: np.ndarray  # (N,) float64: the largest channel of what it would have added before it met a surface
     passed: np.ndarray  # (N,) int32: transparent surfaces so far
     source: np.ndarray  # (N,) int32: row of the path that it belongs to
 
 
 def allocate_shadow_rays(n: int) -> ShadowRays:
     """Room for n shadow rays."""
-    zeros = (np.zeros(n, np.int32) for _ in range(3))
-    return ShadowRays(allocate_rays(n), np.zeros((n, 3)), *zeros)
+    slot, passed, source = (np.zeros(n, np.int32) for _ in range(3))
+    return ShadowRays(allocate_rays(n), np.zeros((n, 3)), slot, np.zeros(n), passed, source)
 
 
 @uncounted
@@ -106,6 +109,7 @@ def connect(
         r, g, b = clamp_light(r, g, b, limit)
         out.light[n, 0], out.light[n, 1], out.light[n, 2] = r, g, b
         out.slot[n] = paths.slot[k]
+        out.whole[n] = max(abs(r), abs(g), abs(b))
         out.source[n] = k
         out.passed[n] = paths.state.transparent_depth[k]
         for a in range(3):
@@ -139,19 +143,36 @@ def settle(shadows: ShadowRays, hits: Hits, samples: Samples, limit, n, waiting)
     return m
 
 
+@device
+def _chance(shadows, samples, i):
+    """A number in 0..1 of shadow ray i, another one behind each surface."""
+    slot = shadows.slot[i]
+    h = hash_path(np.uint64(samples.seed[slot]), np.int64(samples.number[slot]))
+    h = hash_path(h, np.int64(shadows.passed[i]))
+    h = hash_path(h, np.int64(shadows.rays.direction[i, 0] * 2.0**40))  # rays of one point differ by it
+    return np.float64(h >> np.uint64(11)) * 2.0**-53
+
+
 @uncounted
-def dim(shadows: ShadowRays, hits: Hits, frames, waiting, m, share):
-    """Shadow rays waiting[0..m] pass their surface, which lets share (m, 3) through; packed to rows 0.. that go on."""
+def dim(shadows: ShadowRays, samples: Samples, hits: Hits, frames, waiting, m, share):
+    """Shadow rays waiting[0..m] pass their surface, which lets share (m, 3) through; packed to rows 0.. that go on.
+
+    Those that have hardly any light left do so by chance (Russian roulette).
+    """
     n = np.int64(0)
     for j in range(m):
         i = waiting[j]
         r = shadows.light[i, 0] * share[j, 0]
         g = shadows.light[i, 1] * share[j, 1]
         b = shadows.light[i, 2] * share[j, 2]
-        if r == 0.0 and g == 0.0 and b == 0.0:
-            continue
+        left, least = max(abs(r), abs(g), abs(b)), FAINT * (1 + shadows.passed[i]) * shadows.whole[i]
+        if left < least:
+            if not left > least * _chance(shadows, samples, i):
+                continue
+            r, g, b = r * (least / left), g * (least / left), b * (least / left)
         shadows.light[n, 0], shadows.light[n, 1], shadows.light[n, 2] = r, g, b
         shadows.slot[n] = shadows.slot[i]
+        shadows.whole[n] = shadows.whole[i]
         shadows.source[n] = shadows.source[i]
         shadows.passed[n] = shadows.passed[i] + 1
         rays = shadows.rays

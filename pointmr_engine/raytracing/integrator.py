@@ -203,7 +203,9 @@ class Workspace:
         )
 
     def dim(self, waiting, left: int, share) -> int:
-        return direct_light.dim(self.shadows, self.shadow_hits, self.shadow_frames, waiting, left, share)
+        return direct_light.dim(
+            self.shadows, self.samples, self.shadow_hits, self.shadow_frames, waiting, left, share
+        )
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
         paths.scatter(

@@ -280,6 +280,7 @@ def shadow(
 ) -> None:
     """Shadow rays: hits.triangle is BLOCKED (-2) where any opaque triangle lies in between, at about hits.t.
 
-    Otherwise the closest hit on a triangle whose material may be transparent (see acceleration.set_opaque), or -1.
+    Otherwise the closest hit on a triangle whose material may be transparent (see acceleration.set_opaque) and is not
+    known to be clear there (set_clear), or -1.
     """
     _run(acceleration, rays, hits, start, stop, True)

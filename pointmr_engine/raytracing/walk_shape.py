@@ -75,11 +75,25 @@ def is_opaque(w, part, triangle):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def is_clear(w, part, triangle, u, v):
+    """True where this triangle of a part is known to let all light through at weights u, v of vertices 1 and 2."""
+    if w.clear_side == 0 or load_i64(w.clear_first, part) < 0:
+        return False
+    own = triangle - load_i32(w.part_first_triangle, part)
+    row = load_i32(w.clear_row, load_i64(w.clear_first, part) + own)
+    if row < 0:
+        return False
+    p = min(max(np.int64(u * w.clear_side), np.int64(0)), w.clear_side - 1)
+    q = min(max(np.int64(v * w.clear_side), np.int64(0)), w.clear_side - 1)
+    return (load_i64(w.clear_bits, row + q) >> p) & 1 != 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scratch, sp):
     """Closest hit of a ray in the part's own space, nearer than t_max: (triangle or -1, t, u, v).
 
     `skip` is a triangle that is not hit. With any_hit, (BLOCKED, t, ...) as soon as an opaque triangle is met before
-    t_max[0]; else the closest of the others before t_max[1]. Without, t_max[0] = t_max[1]. The stack is free from sp.
+    t_max[0]; else the closest of the others before t_max[1], but for what is clear. Without, t_max[0] = t_max[1]. The stack is free from sp.
     """
     node = load_i32(w.part_root, part)
     ox -= load_f64(w.part_center, 3 * part)
@@ -131,7 +145,7 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
                 if any_hit:
                     if is_opaque(w, part, triangle):
                         return np.int64(BLOCKED), (np.float64(t) + shift) / length, u, v
-                    if t >= best_t:
+                    if t >= best_t or is_clear(w, part, triangle, u, v):
                         continue
                     best_t = t
                 elif t <= best_t:

@@ -133,15 +133,20 @@ class Program:
         emission: list[Source],
         warnings: list[str],
         filtered: bool = False,
+        unfiltered: tuple[list[Step], list[Source]] | None = None,
     ) -> None:
+        """The results of `flatten`. unfiltered: its steps and transparency without footprints, where the others have
+        them.
+        """
         self.kind = kind
         self.leaves = tuple(leaves)
         self.warnings = warnings
         sources = [s for leaf in leaves for _, _, s in leaf.columns]
         sources += [s for leaf in leaves for s in leaf.normals.values()]
         self._plan = Plan(steps, sources)
-        self._transparency, self._emission = transparency, emission
-        self._transparency_plan = Plan(steps, transparency)
+        clear_steps, self._transparency = unfiltered or (steps, transparency)
+        self._emission = emission
+        self._transparency_plan = Plan(clear_steps, self._transparency)
         self._emission_plan = Plan(steps, emission)
         fine = fine_slots(steps, leaves) if filtered and kind == "surface" else []
         self._fine_plan = Plan(steps, fine) if fine else None
@@ -181,7 +186,9 @@ class Program:
         return {name: memo[name] for name in self._fine_names}
 
     def transparency(self, points: SurfacePoints) -> np.ndarray:
-        """(N, 3) float32 share of light that passes straight through, for shadow rays."""
+        """(N, 3) float32 share of light that passes straight through at the points themselves, for shadow rays: what
+        materials make of a mean of their images is not the mean of what they let through.
+        """
         with np.errstate(all="ignore"):
             return _sum(self._transparency, self._transparency_plan.run(points), points.count)
 
@@ -233,7 +240,11 @@ def compile_graph(graph: Graph, kind: str = "surface", filtered: bool = True) ->
     from pointmr_engine.shading.flatten import flatten
 
     steps, leaves, transparency, emission, warnings = flatten(graph, kind, filtered)
-    return Program(kind, steps, leaves, transparency, emission, warnings, filtered)
+    unfiltered = None
+    if filtered and transparency:
+        own_steps, _, own_transparency, _, _ = flatten(graph, kind, False)
+        unfiltered = own_steps, own_transparency
+    return Program(kind, steps, leaves, transparency, emission, warnings, filtered, unfiltered)
 
 
 def evaluate_background(

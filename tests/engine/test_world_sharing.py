@@ -27,10 +27,7 @@ def shares_of(side, rng, spacing=0.1):
 
 def shared(shares, x, y, side):
     out = np.zeros((len(x), 3), np.float32)
-    head, after = np.empty((side, side), np.int32), np.empty(len(x), np.int32)
-    share_light(
-        x, y, np.int64(SUBPIXELS), np.float64(REACH * SUBPIXELS), shares, np.int64(len(x)), head, after, out
-    )
+    share_light(x, y, SUBPIXELS, REACH * SUBPIXELS, shares, len(x), (side, side), out)
     return out
 
 
