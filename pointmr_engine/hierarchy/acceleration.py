@@ -37,7 +37,7 @@ class WalkArrays(NamedTuple):
     slot_opaque: np.ndarray  # (slots,) bool
     clear_first: np.ndarray  # (parts,) int64: row of a part's triangle 0 in clear_row, -1: it has none
     clear_row: np.ndarray  # (K,) int32: first row of a triangle's cells in clear_bits, -1: it has none
-    clear_bits: np.ndarray  # (rows,) int64: of a row of cells, those where the triangle lets all light through
+    clear_bits: np.ndarray  # (rows,) int64: of a row of cells, those that let all light through
     clear_side: int  # cells along a triangle's edge, 64 at most; 0: no triangle has any
     parts: PartTables
     instances: BatchTables
@@ -307,8 +307,8 @@ def set_clear(
 ) -> Acceleration:
     """The same structure (shared, not copied), in which `walk.shadow` passes clear cells of triangles.
 
-    As WalkArrays has them: first (parts,) int64, row (K,) int32, bits (rows,) int64; side: cells along an edge. Bit p of
-    row q is the cell at barycentric weights (p..p + 1) / side of vertex 1 and (q..q + 1) / side of vertex 2.
+    As WalkArrays has them: first (parts,) int64, row (K,) int32, bits (rows,) int64; side: cells along an edge. Bit p
+    of row q is the cell at barycentric weights (p..p + 1) / side of vertex 1 and (q..q + 1) / side of vertex 2.
     """
     arrays = acceleration.arrays._replace(
         clear_first=first, clear_row=row, clear_bits=bits, clear_side=int(side)

@@ -25,7 +25,8 @@ from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
 from pointmr_engine.shading.bsdf.layout import WEIGHT
 
-BATCH = 4096  # fragments at once
+# fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
+BATCH = 8192
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
 TINGE = 0.02  # of light in a channel: what coloured transparency lets through, below which it is not followed
 VEILS = 8  # transparent surfaces that a look at a clump passes at most

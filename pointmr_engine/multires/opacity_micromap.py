@@ -22,7 +22,7 @@ LOOKS = 1_500_000  # at most, over all triangles that differ
 _CHUNK = 1 << 18
 CLEAR = 1.0 - 1e-6  # share of light, in every channel
 # what a triangle's own points decide, wherever it is placed and whoever looks
-_OWN = ("uv", "attribute", "local", "generated", "barycentric")
+_OWN = {"uv", "attribute", "local", "generated", "barycentric"}
 
 
 def with_micromap(acceleration: Acceleration, sampler) -> Acceleration:
@@ -86,11 +86,13 @@ def _with_holes(geometry, programs: list, cut_outs) -> list[tuple]:
         mask, material = cut_outs.mask[cut_outs.first[part] :][:n], part_materials(geometry, part)
         for m in np.unique(material):
             program = programs[m]
-            if program.opaque or any(need.partition(":")[0] not in _OWN for need in program.transparency_needs):
+            reads = {need.partition(":")[0] for need in program.transparency_needs}
+            if program.opaque or not reads <= _OWN:
                 continue
             own = np.flatnonzero((material == m) & (mask >= 0))
             own = own[holes[mask[own]]]
             row, leader = np.unique(mask[own], return_index=True)
             if len(row):
-                found.append((part, program, (geometry.tables.first_triangle[part] + own[leader]).astype(np.int32), row))
+                triangles = (geometry.tables.first_triangle[part] + own[leader]).astype(np.int32)
+                found.append((part, program, triangles, row))
     return found

@@ -167,7 +167,8 @@ def _met_about(table, first, end, x, y, reach):
 @summed
 def _received_about(table, first, end, s, reach, near, sums):
     """Add to sums (6,) the weights and the weighted light of fragments first..end about s, as far as they share."""
-    x, y, px, py, pz = table[AT_X, s], table[AT_Y, s], table[PLACE, s], table[PLACE + 1, s], table[PLACE + 2, s]
+    x, y = table[AT_X, s], table[AT_Y, s]
+    px, py, pz = table[PLACE, s], table[PLACE + 1, s], table[PLACE + 2, s]
     nx, ny, nz = table[FACING, s], table[FACING + 1, s], table[FACING + 2, s]
     u, v, w, r, g, b = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for t in range(first, end):
@@ -213,9 +214,9 @@ def _add_received(shares, start, order, table, subpixels, reach, sums, out):
         for i in range(columns):
             left, right = max(i - wide, 0), min(i + wide + 1, columns)
             for s in range(start[j, i], start[j, i + 1]):
-                near, rays = 0.0, 0.0
+                x, y, near, rays = table[AT_X, s], table[AT_Y, s], 0.0, 0.0
                 for q in range(low, high):
-                    some = _met_about(table, start[q, left], start[q, right], table[AT_X, s], table[AT_Y, s], reach)
+                    some = _met_about(table, start[q, left], start[q, right], x, y, reach)
                     near, rays = near + some[0], rays + some[1]
                 near /= max(rays, 1.0)
                 sums[:] = 0.0

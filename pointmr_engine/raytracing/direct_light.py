@@ -19,7 +19,8 @@ from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION
 from pointmr_engine.shading.lobes import evaluate
 
-FAINT = 0.01  # of a shadow ray's light, for each surface that it has passed: below what is left, chance decides
+# of a shadow ray's light, for each surface that it has passed: chance decides about what has less left
+FAINT = 0.01
 _SHORT = 1.0 - 1e-6  # shadow rays end this much before the light, so as not to meet what it is made of
 
 

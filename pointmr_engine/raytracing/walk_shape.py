@@ -93,7 +93,8 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
     """Closest hit of a ray in the part's own space, nearer than t_max: (triangle or -1, t, u, v).
 
     `skip` is a triangle that is not hit. With any_hit, (BLOCKED, t, ...) as soon as an opaque triangle is met before
-    t_max[0]; else the closest of the others before t_max[1], but for what is clear. Without, t_max[0] = t_max[1]. The stack is free from sp.
+    t_max[0]; else the closest of the others before t_max[1], but for what is clear. Without, t_max[0] = t_max[1]. The
+    stack is free from sp.
     """
     node = load_i32(w.part_root, part)
     ox -= load_f64(w.part_center, 3 * part)
