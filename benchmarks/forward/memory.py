@@ -3,8 +3,7 @@
     python -m benchmarks.forward.memory [--cases dragon forest_4e8 forest_6e9 land_1e15] [--size 640] [--views 4]
 
 Every case runs in a process of its own. Sets are counted twice: those that the views asked for, and, where
---all-sets is
-given, those of all levels of all groups.
+--all-sets is given, those of all levels of all groups.
 """
 
 from __future__ import annotations
@@ -69,7 +68,7 @@ def one(name: str, size: int, views: int, all_sets: bool) -> dict:
     sets = next(iter(sampler.sets.values()))
     found = {
         "unique": flight.unique,
-        "placements": items - flight.unique,
+        "placements": max(items - flight.unique, 0),  # triangles without area are no items
         "triangles": float(flight.triangles),
         "octree": octree_bytes(sampler.octree) / items,
         "distribution": sum(a.nbytes for a in build_distribution(sampler.octree)) / items,

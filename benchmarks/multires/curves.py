@@ -3,7 +3,8 @@
     python -m benchmarks.multires.curves [--scenes gn_trees ...] [--size 320x240] [--cones 1 4 16]
         [--rivals cycles:1,4,16,64 distributed:1,4,16,64 conventional] [--reference-samples 1024] [--references-only]
 
-Writes docs/benchmarks/raytrace.md with all scenes that were measured so far at this size, and a plot a scene.
+Writes docs/benchmarks/raytrace-WIDTHxHEIGHT.md with all scenes that were measured so far at this size, and a plot a
+scene.
 """
 
 from __future__ import annotations

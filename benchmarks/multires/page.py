@@ -86,7 +86,7 @@ def section(result: dict) -> str:
     facts += [f"reference: {result['reference']}", result["machine"]]
     lines = [f"## {name}", f"{'; '.join(facts)}.", f"`{result['command']}`"]
     if good:
-        lines.append(f"![{name}](raytrace-{name}.png)")
+        lines.append(f"![{name}]({page_name(result)}-{name}.png)")
         lines.append(
             markdown([c[0] for c in COLUMNS], [[cell(r.get(k), f) for _, k, f in COLUMNS] for r in good])
         )
@@ -96,15 +96,21 @@ def section(result: dict) -> str:
     return "\n\n".join(lines)
 
 
+def page_name(result: dict) -> str:
+    """Of the page of a result's method and size, and of its plots."""
+    return f"{result['ours']}-{result['size'][0]}x{result['size'][1]}"
+
+
 def write(results: list[dict], folder: Path) -> None:
-    """raytrace.md and a plot a scene, into `folder`."""
+    """The page of results of one method and size, and a plot a scene, into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
+    name = page_name(results[0])
     parts = [INTRODUCTION, "## Equal error", comparison(results), *map(section, results)]
-    beside = folder / "raytrace.part"
+    beside = folder / f"{name}.part"
     beside.write_text("\n\n".join(parts) + "\n")
-    beside.rename(folder / "raytrace.md")
+    beside.rename(folder / f"{name}.md")
     for result in results:
-        plot(result, folder / f"raytrace-{result['scene']}.png")
+        plot(result, folder / f"{name}-{result['scene']}.png")
 
 
 def plot(result: dict, path: Path) -> None:

@@ -50,8 +50,9 @@ def test_page_tells_times_at_equal_error_and_failures(tmp_path):
     assert apart == pytest.approx(1.0, rel=0.1) and together == pytest.approx(1.0, rel=0.02)
     pytest.importorskip("matplotlib", reason="plots need the bench extra")
     page.write([result], tmp_path)
-    text = (tmp_path / "raytrace.md").read_text()
-    assert "out of memory" in text and "| 2.00 |" in text and (tmp_path / "raytrace-gn_trees.png").is_file()
+    text = (tmp_path / "raytrace-8x8.md").read_text()
+    assert "out of memory" in text and "| 2.00 |" in text
+    assert (tmp_path / "raytrace-8x8-gn_trees.png").is_file() and "(raytrace-8x8-gn_trees.png)" in text
 
 
 def test_change_of_level_is_told_from_change_of_scene():
