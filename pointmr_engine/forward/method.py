@@ -69,6 +69,8 @@ class Sampler:
 
     def keep(self, image: Image, spaces: list[Workspace]) -> None:
         """Keep the buffers of an image that is finished; those of other kinds are dropped."""
+        for space in spaces:
+            space.rest()
         with self._lock:
             self._spaces = {image.fits: spaces}
 
@@ -184,6 +186,10 @@ class Image:
         """A thread's buffers for tiles."""
         return self.space_of(self)
 
+    def finish(self) -> None:
+        """Let go of what refers back to the image: such rings of large arrays would wait for Python's collector."""
+        self.drawn = self.shading = None
+
     def needs(self) -> dict:
         """What this image required, for the frame's statistics."""
         return {
@@ -288,7 +294,8 @@ def render_image(
     finally:
         stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
-    counters = Counter(image.drawn.counts if image.drawn is not None else {})
+        counters = Counter(image.drawn.counts if image.drawn is not None else {})
+        image.finish()
     for space in spaces:
         counters.update(dict(zip(COUNTERS, space.scratch.counters.tolist(), strict=True)))
         counters.update(fragments=space.shaded, closed=space.closed)

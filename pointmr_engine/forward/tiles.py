@@ -70,6 +70,10 @@ class Workspace:
         self.shadow_maps = ShadowMaps(image) if image.shadows else None
         self.shading = None  # what the image's shading keeps for this thread
 
+    def rest(self) -> None:
+        """Let go of the image, which is finished, and of what its shading kept."""
+        self.image = self.shading = self.shadow_maps = None
+
     def start_tile(self, bounds) -> None:
         """Empty the target for a tile x0, y0, x1, y1 of pixels, and an apron around it."""
         s, a = self.image.subpixels, self.image.apron
