@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.forward import scenes
-from benchmarks.forward.measuring import arguments, compile_kernels, peak_mb, settings, write
+from benchmarks.forward.measuring import arguments, command, compile_kernels, peak_mb, settings, write
 from benchmarks.report import markdown
 from benchmarks.sources import scenes_folder
 from pointmr_engine import render
@@ -89,9 +89,9 @@ def main() -> None:
         return
     rows = []
     for name in o.cases:
-        command = [sys.executable, "-m", "benchmarks.forward.memory", "--child", name, "--size", str(o.size)]
-        command += ["--views", str(o.views)] + (["--all-sets"] if o.all_sets else [])
-        run = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).resolve().parents[2])
+        words = [sys.executable, "-m", "benchmarks.forward.memory", "--child", name, "--size", str(o.size)]
+        words += ["--views", str(o.views)] + (["--all-sets"] if o.all_sets else [])
+        run = subprocess.run(words, capture_output=True, text=True, cwd=Path(__file__).resolve().parents[2])
         if run.returncode:
             print(f"{name}: {run.stderr.strip().splitlines()[-1] if run.stderr.strip() else run.returncode}")
             continue
@@ -114,7 +114,7 @@ def main() -> None:
     write(
         o.output,
         "forward-memory.md",
-        "# Forward mapping: memory\n\n`python -m benchmarks.forward.memory --all-sets`. Bytes are per item: "
+        f"# Forward mapping: memory\n\n`{command('benchmarks.forward.memory')}`. Bytes are per item: "
         "unique triangle or "
         "placement. The peak is the whole process's, after "
         f"{o.views} views of {o.size} x {o.size * 3 // 4} pixels; before them it held Python, kernels and the "

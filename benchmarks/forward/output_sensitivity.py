@@ -16,7 +16,7 @@ import json
 import numpy as np
 
 from benchmarks.forward import scenes
-from benchmarks.forward.measuring import OUT, arguments, fly, growth, plot, settings, write
+from benchmarks.forward.measuring import OUT, arguments, command, fly, growth, plot, settings, write
 from benchmarks.report import markdown
 
 METHODS = {
@@ -173,7 +173,7 @@ def main() -> None:
     if panels:
         plot(o.output / "forward-output-sensitivity.png", panels)
     head = (
-        "# Forward mapping: output sensitivity\n\n`python -m benchmarks.forward.output_sensitivity`, "
+        f"# Forward mapping: output sensitivity\n\n`{command('benchmarks.forward.output_sensitivity')}`, "
         f"{o.size} x {o.size * 3 // 4} pixels unless a width is given.\n\n"
         "Static sampling ought to take O(log tau + h + a log n), dynamic sampling O(log tau + h + a log a log "
         "n). The meadow "
