@@ -90,6 +90,8 @@ def builder_text(build: Callable) -> str:
         if name in texts:
             continue
         thing = here[name]
+        if inspect.ismodule(thing):  # which only says where it is installed
+            continue
         texts[name] = inspect.getsource(thing) if inspect.isfunction(thing) else repr(thing)
         named = set(re.findall(r"\w+", texts[name])) & here.keys()
         waiting += [

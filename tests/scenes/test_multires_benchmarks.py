@@ -78,6 +78,7 @@ def test_references_grow_by_seeds():
 
 def test_a_builders_reference_does_not_hang_on_other_builders():
     text = scenes.builder_text(scenes.SUBJECTS["forest_cut"].build)
+    assert "<module" not in text  # says where things are installed, and no two clones would share references
     assert '"realise"' in text and '"CUT"' in text and '"fence"' not in text
     with pytest.raises(KeyError, match="no_such"):
         scenes.source("no_such")
