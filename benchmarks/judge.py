@@ -157,11 +157,9 @@ def main(argv: list[str] | None = None) -> int:
         print(report.table([result]), flush=True)
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    command = "python -m benchmarks.judge " + " ".join(argv if argv is not None else sys.argv[1:])
-    (out / "judge.json").write_text(
-        json.dumps({"command": command, "results": results}, indent=1, default=str)
-    )
-    (out / "judge.md").write_text(f"`{command}`\n\n{report.table(results)}\n")
+    typed = report.command("benchmarks.judge", argv)
+    (out / "judge.json").write_text(json.dumps({"command": typed, "results": results}, indent=1, default=str))
+    (out / "judge.md").write_text(f"`{typed}`\n\n{report.table(results)}\n")
     return 1 if failed else 0
 
 

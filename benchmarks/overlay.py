@@ -22,7 +22,7 @@ from benchmarks.methods import Method, read_exr
 from benchmarks.metrics import deviation
 from benchmarks.processes import Worker, WorkerError
 from benchmarks.reference import reference
-from benchmarks.report import cell, markdown
+from benchmarks.report import cell, command, markdown
 
 MAX_REL_MSE = 0.002
 MAX_FLIP = {"feature": 0.03, "real": 0.08, "blend": 0.08}
@@ -208,12 +208,12 @@ def main(argv: list[str] | None = None) -> int:
             record = lay_over(name, options, keepers)
             records.append(record)
             print(table([record]).splitlines()[2], record.get("failure", ""), flush=True)
-    command = "python -m benchmarks.overlay " + " ".join(argv if argv is not None else sys.argv[1:])
-    text = document(records, command.strip(), options)
+    typed = command("benchmarks.overlay", argv)
+    text = document(records, typed, options)
     folder = out if options.no_write else Path(options.docs)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "overlay.md").write_text(text)
-    (out / "overlay.json").write_text(json.dumps({"command": command, "records": records}, indent=1))
+    (out / "overlay.json").write_text(json.dumps({"command": typed, "records": records}, indent=1))
     contact_sheets(records, folder)
     failed = [r["scene"] for r in records if not r["passed"]]
     print(

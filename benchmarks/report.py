@@ -1,8 +1,9 @@
-"""Tables of results in Markdown."""
+"""Tables of results in Markdown, and the command that wrote them."""
 
 from __future__ import annotations
 
 import math
+import sys
 
 COLUMNS = (
     ("scene", "scene", ""),
@@ -46,3 +47,9 @@ def table(results: list[dict]) -> str:
             rows.append([cell(values.get(key), pattern) for _, key, pattern in COLUMNS])
     text = markdown([c[0] for c in COLUMNS], rows) if rows else ""
     return "\n".join([text, *failures]).strip()
+
+
+def command(module: str, argv: list[str] | None = None) -> str:
+    """How a benchmark was started, for its page; argv None: by this process's own words."""
+    typed = sys.argv[1:] if argv is None else argv
+    return " ".join([f"python -m {module}", *(f'"{t}"' if " " in t else t for t in typed)])

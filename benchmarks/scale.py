@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.methods import Method
 from benchmarks.processes import Worker, WorkerError
-from benchmarks.report import cell, markdown
+from benchmarks.report import cell, command, markdown
 
 HEADER = [
     "scene",
@@ -111,8 +111,8 @@ def main(argv: list[str] | None = None) -> int:
     for method in (Method("nothing", 1), ours, Method("cycles", 1)):
         rows.append(first_image(million, method, (320, 240), options.threads, options.out, again=True))
         print(rows[-1], flush=True)
-    command = "python -m benchmarks.scale " + " ".join(argv if argv is not None else sys.argv[1:])
-    text = f"# Scale\n\n`{command.strip()}`\n\n{__doc__.partition('1. ')[1]}{__doc__.partition('1. ')[2]}\n"
+    typed = command("benchmarks.scale", argv)
+    text = f"# Scale\n\n`{typed}`\n\n{__doc__.partition('1. ')[1]}{__doc__.partition('1. ')[2]}\n"
     text += markdown(HEADER, rows) + "\n"
     options.docs.mkdir(parents=True, exist_ok=True)
     (options.docs / "scale.md").write_text(text)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import resource
 import statistics
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -104,15 +103,6 @@ def arguments(text: str, **defaults) -> argparse.Namespace:
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     return options
-
-
-def command(module: str) -> str:
-    """How this run was started, wherever its pages go."""
-    typed = sys.argv[1:]
-    if "--output" in typed:
-        at = typed.index("--output")
-        typed = typed[:at] + typed[at + 2 :]
-    return " ".join([f"python -m {module}", *(f'"{t}"' if " " in t else t for t in typed)])
 
 
 def write(folder: Path, name: str, text: str) -> None:

@@ -14,8 +14,8 @@ import sys
 from pathlib import Path
 
 from benchmarks.forward import scenes
-from benchmarks.forward.measuring import arguments, command, compile_kernels, peak_mb, settings, write
-from benchmarks.report import markdown
+from benchmarks.forward.measuring import arguments, compile_kernels, peak_mb, settings, write
+from benchmarks.report import command, markdown
 from benchmarks.sources import scenes_folder
 from pointmr_engine import render
 from pointmr_engine.render import Cache

@@ -16,8 +16,8 @@ import json
 import numpy as np
 
 from benchmarks.forward import scenes
-from benchmarks.forward.measuring import OUT, arguments, command, fly, growth, plot, settings, write
-from benchmarks.report import markdown
+from benchmarks.forward.measuring import OUT, arguments, fly, growth, plot, settings, write
+from benchmarks.report import command, markdown
 
 METHODS = {
     "static": {},

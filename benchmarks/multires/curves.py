@@ -22,6 +22,7 @@ from benchmarks.multires import measuring, page
 from benchmarks.multires.renderers import reference, seeds_of
 from benchmarks.multires.scenes import SUBJECTS
 from benchmarks.processes import WorkerError
+from benchmarks.report import command
 
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
@@ -47,9 +48,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     return options
 
 
-def measure(subject: str, o: argparse.Namespace, command: str) -> dict:
+def measure(subject: str, o: argparse.Namespace, typed: str) -> dict:
     """One scene's result, JSON-able. Raises WorkerError if there is no reference."""
-    halves = reference(subject, o.size, o.reference_samples, o.threads, o.cache, command)
+    halves = reference(subject, o.size, o.reference_samples, o.threads, o.cache, typed)
     impossible = {"cycles"} if SUBJECTS[subject].reference != "cycles" else set()
     methods = [m for m in o.methods if m.name not in impossible]
     rows = measuring.measure(subject, methods, o.size, o.runs, o.threads, o.out)
@@ -57,7 +58,7 @@ def measure(subject: str, o: argparse.Namespace, command: str) -> dict:
     seeds, each = seeds_of(o.reference_samples)
     return {
         "scene": subject,
-        "command": command,
+        "command": typed,
         "size": list(o.size),
         "ours": o.ours,
         "reference": f"{SUBJECTS[subject].reference}, {seeds} seeds of {each} samples",
@@ -69,18 +70,16 @@ def measure(subject: str, o: argparse.Namespace, command: str) -> dict:
 
 def main(argv: list[str] | None = None) -> int:
     o = arguments(argv)
-    command = " ".join(
-        ["python -m benchmarks.multires.curves", *(argv if argv is not None else sys.argv[1:])]
-    )
+    typed = command("benchmarks.multires.curves", argv)
     results = o.out / "curves" / f"{o.size[0]}x{o.size[1]}-{o.ours}"
     results.mkdir(parents=True, exist_ok=True)
     failed = 0
     for subject in o.scenes:
         try:
             if o.references_only:
-                reference(subject, o.size, o.reference_samples, o.threads, o.cache, command)
+                reference(subject, o.size, o.reference_samples, o.threads, o.cache, typed)
                 continue
-            result = measure(subject, o, command)
+            result = measure(subject, o, typed)
         except (FileNotFoundError, WorkerError) as error:
             print(f"{subject}: {error}", file=sys.stderr)
             failed += 1

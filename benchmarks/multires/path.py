@@ -26,7 +26,7 @@ from benchmarks.metrics import over_backdrop
 from benchmarks.multires.renderers import Renderer
 from benchmarks.multires.scenes import SUBJECTS, source
 from benchmarks.processes import WorkerError
-from benchmarks.report import markdown
+from benchmarks.report import command, markdown
 from benchmarks.sources import text_hash
 
 SEED, REFERENCE_SEED = 11, 9001
@@ -184,7 +184,7 @@ def main(argv: list[str] | None = None) -> int:
     o = parser.parse_args(argv)
     o.docs.mkdir(parents=True, exist_ok=True)
     rows, failed = [], 0
-    command = " ".join(["python -m benchmarks.multires.path", *(argv if argv is not None else sys.argv[1:])])
+    typed = command("benchmarks.multires.path", argv)
     for subject in o.scenes:
         try:
             mine, films = measure(subject, o)
@@ -201,7 +201,7 @@ def main(argv: list[str] | None = None) -> int:
         about = __doc__.split("\n\n")[2].partition(" Writes")[0]
         text = [
             "# Stability along a camera path",
-            f"`{command}`",
+            f"`{typed}`",
             f"{about}",
             markdown(COLUMNS, map(row_of, rows)),
         ]

@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.forward.measuring import growth, peak_mb
 from benchmarks.judge import size_of
 from benchmarks.methods import Method, parse_methods
-from benchmarks.report import markdown
+from benchmarks.report import command, markdown
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = range(1, 10)  # 10^5 to 10^15 triangles, about
@@ -141,9 +141,7 @@ def main(argv: list[str] | None = None) -> int:
         print(json.dumps(one(o.one, chosen[0], o.size, o.rounds)))
         return 0
     o.docs.mkdir(parents=True, exist_ok=True)
-    command = " ".join(
-        ["python -m benchmarks.multires.scaling", *(argv if argv is not None else sys.argv[1:])]
-    )
+    typed = command("benchmarks.multires.scaling", argv)
     rows, failed = [], 0
     for scene in o.scenes:
         for method in chosen:
@@ -160,7 +158,7 @@ def main(argv: list[str] | None = None) -> int:
             ]  # fmt: skip
             growths = [summary(rows, m.label) for m in chosen]
             about = __doc__.split("\n\n")[2].partition(" Writes")[0]
-            text = ["# Growth with the scene", f"`{command}`", about, "\n".join(growths)]
+            text = ["# Growth with the scene", f"`{typed}`", about, "\n".join(growths)]
             text += ["![growth](raytrace-scaling.png)", markdown(HEADER, cells)]
             (o.docs / "raytrace-scaling.md").write_text("\n\n".join(text) + "\n")
             plot(rows, o.docs / "raytrace-scaling.png")
