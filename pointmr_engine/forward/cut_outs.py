@@ -96,14 +96,21 @@ def _opacity(
     geometry: Geometry, program, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
 ) -> np.ndarray:
     """(n, 2) opacity of points of a part's triangles, 0..1: mean, and of the channel that is blocked most."""
+    clear = np.clip(part_transparency(geometry, program, part, triangles, u, v), 0.0, 1.0)
+    return 1.0 - np.stack((clear.mean(1), clear.min(1)), 1)
+
+
+def part_transparency(
+    geometry: Geometry, program, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
+    """(n, 3) share of light that passes points of a part's triangles (n,), in the part's own space."""
     n = len(triangles)
     points = points_at(
         geometry, np.full(n, part, np.int32), (geometry.tables.first_triangle[part] + triangles).astype(np.int32),
         u.astype(np.float32), v.astype(np.float32), np.broadcast_to(np.eye(4)[:3], (n, 3, 4)),
         program.transparency_needs,
     )  # fmt: skip
-    clear = np.clip(program.transparency(points), 0.0, 1.0)
-    return 1.0 - np.stack((clear.mean(1), clear.min(1)), 1)
+    return program.transparency(points)
 
 
 @device

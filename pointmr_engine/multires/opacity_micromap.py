@@ -11,10 +11,9 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.cut_outs import part_materials
+from pointmr_engine.forward.cut_outs import part_materials, part_transparency
 from pointmr_engine.forward.opacity_classes import lattice
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_clear
-from pointmr_engine.raytracing.surface import points_at
 
 FINEST = 64  # cells along an edge at most: bits of a word
 COARSEST = 8  # below, cells that are clear with all their neighbours are too few to be worth it
@@ -49,17 +48,13 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
     for part, program, triangles, row in groups:
         for k in range(0, len(row), step):
             chosen = triangles[k : k + step]
-            u, v = (a.ravel().astype(np.float32) for a in lattice(side, len(chosen)))
-            points = points_at(
-                geometry, np.full(len(u), part, np.int32), np.repeat(chosen, side * side), u, v,
-                np.broadcast_to(np.eye(4)[:3], (len(u), 3, 4)), program.transparency_needs,
-            )  # fmt: skip
-            clear = program.transparency(points).min(1) >= CLEAR
+            u, v = (a.ravel() for a in lattice(side, len(chosen)))
+            share = part_transparency(geometry, program, part, np.repeat(chosen, side * side), u, v)
+            clear = share.min(1) >= CLEAR
             words[row[k : k + step]] = (surely(clear.reshape(-1, side, side)) * weights).sum(2)
     known = words.any(1)
-    first_row = np.where(known, np.cumsum(known) - 1, -1) * side
+    first_row = np.where(known, (np.cumsum(known) - 1) * side, -1)
     row = np.where(cut_outs.mask >= 0, first_row[cut_outs.mask], -1).astype(np.int32)
-    row[row < 0] = -1
     return cut_outs.first, row, np.ascontiguousarray(words[known].ravel()), side if known.any() else 0
 
 
@@ -76,9 +71,9 @@ def surely(clear: np.ndarray) -> np.ndarray:
 
 
 def _with_holes(geometry, programs: list, cut_outs) -> list[tuple]:
-    """(part, program, triangles (n,) int32 scene-wide, rows (n,) of cut_outs.opacity) of those that may have holes."""
+    """(part, program, its triangles (n,), rows (n,) of cut_outs.opacity) of those that may have holes."""
     found = []
-    holes = (cut_outs.opacity == 0).any((1, 2)) if len(cut_outs.opacity) else np.zeros(0, np.bool_)
+    holes = (cut_outs.opacity == 0).any((1, 2))
     for part, mesh in enumerate(geometry.parts):
         if cut_outs.first[part] < 0:
             continue
@@ -93,6 +88,5 @@ def _with_holes(geometry, programs: list, cut_outs) -> list[tuple]:
             own = own[holes[mask[own]]]
             row, leader = np.unique(mask[own], return_index=True)
             if len(row):
-                triangles = (geometry.tables.first_triangle[part] + own[leader]).astype(np.int32)
-                found.append((part, program, triangles, row))
+                found.append((part, program, own[leader], row))
     return found

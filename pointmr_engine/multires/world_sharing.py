@@ -92,12 +92,17 @@ def count_rays(source, triangle, t, count, first, shares):
             shares.nearness[row] += np.float32(1.0 / t[i])
 
 
+@device
+def _shares(shares, k):
+    return max(shares.albedo[k, 0], shares.albedo[k, 1], shares.albedo[k, 2]) > 0.0
+
+
 @uncounted
 def take_light(radiance, before, first, count, shares):
     """Move what radiance (N, 3) has gained since `before` to the fragments first..first + count that share."""
     for k in range(count):
         row = first + k
-        if max(shares.albedo[row, 0], shares.albedo[row, 1], shares.albedo[row, 2]) > 0.0:
+        if _shares(shares, row):
             for c in range(3):
                 shares.light[row, c] += radiance[k, c] - before[k, c]
                 radiance[k, c] = before[k, c]
@@ -126,11 +131,6 @@ def _by_pixel(x, y, subpixels, shares, count, start, order):
             start[j, i] -= 1
             order[start[j, i]] = k
     return total
-
-
-@device
-def _shares(shares, k):
-    return max(shares.albedo[k, 0], shares.albedo[k, 1], shares.albedo[k, 2]) > 0.0
 
 
 @device

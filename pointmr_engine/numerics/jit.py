@@ -4,34 +4,19 @@ from __future__ import annotations
 
 from numba import njit
 
+_KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+_INNER = _KERNEL | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
 # numba counts references to every array of a NamedTuple at each call that is not inlined, on counters that all threads
 # share. Functions that only read and write arrays they were handed need no counting: small ones take half the time.
-uncounted = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+uncounted = njit(**_KERNEL)
 
 # The same for functions that only kernels call: without entries from Python and C they also compile much faster.
-device = njit(
-    cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
-)
+device = njit(**_INNER)
 
 # The same, merged into its callers by LLVM, so that a loop over them can become vector code. Only for straight code.
-merged = njit(
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-    forceinline=True,
-    _nrt=False,
-)
+merged = njit(forceinline=True, **_INNER)
 
 # The same as `device` for loops that sum floats over long runs: the order of a sum's terms is LLVM's choice, so that it
 # can add vectors. For sums that never mean more than their rounding.
-summed = njit(
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-    fastmath={"reassoc"},
-    _nrt=False,
-)
+summed = njit(fastmath={"reassoc"}, **_INNER)
