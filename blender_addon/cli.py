@@ -109,7 +109,7 @@ FORWARD = {
     "forward_samples_per_pixel": ("X", "surface samples for each pixel's area, 0.05 to 64; also: --samples"),
     "forward_epsilon": ("X", "dynamic: how unevenly one box may be sampled"),
     "forward_failure": ("X", "random samples: probability of a hole in the image"),
-    "forward_draws": ("NAME", "dynamic: random, stratified, poisson"),
+    "forward_draws": ("NAME", "dynamic: random, stratified"),
     "forward_strategy": ("NAME", "static: random, jittered_grid, quantised_grid, neighbourhood"),
     "forward_reconstruction": ("NAME", "pixel, gaussian, subpixel, analytic"),
     "forward_subpixels": ("N", "subpixels along a pixel's side: 2, 4, 8"),

@@ -24,14 +24,8 @@ SAMPLINGS = (
 )
 
 DRAWS = (
-    ("RANDOM", "Random", "Independent points: needs the most points for an image without holes", 0),
+    ("RANDOM", "Random", "Independent points: needs the most of them for an image without holes", 0),
     ("STRATIFIED", "Stratified", "One point in each of many equal shares of the surface: fewer gaps", 1),
-    (
-        "POISSON",
-        "Poisson",
-        "Each box draws its own random number of points: boxes can be sampled independently of each other",
-        2,
-    ),
 )
 
 STRATEGIES = (

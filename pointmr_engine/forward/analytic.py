@@ -11,16 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.box_selection import make_view, select_boxes
 from pointmr_engine.forward.draw import Entries
-from pointmr_engine.forward.fragments import fill_normal_matrices
+from pointmr_engine.forward.fragments import fill_fragments, fill_normal_matrices
 from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
-from pointmr_engine.forward.point_drawing import (
-    PlacedPoints,
-    PlacedTriangles,
-    fill_point_fragments,
-    place_triangles,
-)
 from pointmr_engine.forward.polygon_cover import (
     CORNERS,
     LEAST,
@@ -31,13 +24,13 @@ from pointmr_engine.forward.polygon_cover import (
     show_polygons,
 )
 from pointmr_engine.forward.tiles import Workspace
+from pointmr_engine.forward.view_triangles import view_triangles
 from pointmr_engine.scene.errors import SceneError
 
 TRIANGLES = 20_000  # in view, at most
 PLACED = 2_000_000  # in the whole scene, at most
 PAIRS = 4_000_000  # of triangles that overlap in the image, at most
 GRID = 2.0**-24  # pixels: what corners are rounded to, so that none of the library's unions fails
-_FINE = 1024  # boxes are never looked at as a whole above this fraction of a pixel
 _CHUNK = 1 << 16  # pairs between two looks at the progress callback
 
 
@@ -63,19 +56,13 @@ class VisiblePolygons:
         x0, y0, x1, y1 = image.region
         a = image.apron
         region = np.array([x0 - a, y0 - a, x1 + a, y1 + a], np.float64)
-        transforms = self._triangles(region)
+        self._find_triangles(region)
         tell()
         polygons, corners, planes = self._polygons(region)
         visible = self._visible(shapely, polygons, corners, planes, tell)
         self._edges(shapely, visible)
-        self.transforms = transforms
-        self.normals = np.empty((len(transforms.record), 9))
-        fill_normal_matrices(transforms.matrix, np.int64(len(self.normals)), self.normals)
-        f, i = np.float32, np.int32
-        self.no_points = PlacedPoints(
-            np.empty((0, 3)), np.empty((0, 3), f), np.empty(0, f), np.empty(0, f), np.empty(0, i), np.empty(0, i),
-            np.empty((0, 2), f), np.empty(0, i),
-        )  # fmt: skip
+        self.normals = np.empty((len(self.transforms.record), 9))
+        fill_normal_matrices(self.transforms.matrix, np.int64(len(self.normals)), self.normals)
         self._values = None
         self.counts = {
             "triangles": len(corners),
@@ -93,30 +80,14 @@ class VisiblePolygons:
                 name = "no material" if material is None else material.name
                 raise _refused(f"material '{name}' is not opaque")
 
-    def _triangles(self, region):
-        """List the triangles that the region may show; returns their transforms."""
+    def _find_triangles(self, region) -> None:
+        """List the triangles that the region may show."""
         image = self.image
-        octree = image.sampler.octree
-        plane = image.camera.plane.copy()
-        plane[1] /= _FINE
-        fine = image.camera._replace(plane=plane, size=image.camera.size * _FINE)
-        view = make_view(fine, 1.0, 1e-3, 0.0, False, tuple(int(v) * _FINE for v in region))
-        selection = select_boxes(octree, image.sampler.distribution, view)
-        found, n = selection.triangles, len(selection.triangles.part)
-        if n > TRIANGLES:
-            raise _refused(f"{n} triangles are in view, more than {TRIANGLES}")
-        self.triangles = PlacedTriangles(
-            np.empty((n, 3, 3)), np.empty((n, 4)), found.part, found.triangle, found.transform
+        self.triangles, self.transforms = view_triangles(
+            image.view, image.hierarchy(), image.camera.camera_from_world, region * image.subpixels, TRIANGLES
         )
-        place_triangles(
-            image.view,
-            octree.arrays,
-            octree.geometry.tables,
-            selection.transforms,
-            float(image.subpixels),
-            self.triangles,
-        )
-        return selection.transforms
+        if len(self.triangles.item) > TRIANGLES:
+            raise _refused(f"more than {TRIANGLES} triangles are in view")
 
     def _polygons(self, region):
         """(polygons (T, CORNERS, 2) in pixels, their numbers of corners (T,), planes (T, 3) of nearness)."""
@@ -256,7 +227,7 @@ class PolygonSpace(Workspace):
         self.start_tile(bounds)
         self.scratch.transforms = found.transforms
         self.scratch.used[1] = len(found.transforms.record)
-        n = len(found.triangles.part)
+        n = len(found.triangles.item)
         if len(self.scratch.entries.surfel) < n:
             self.scratch.entries = Entries(np.empty(n, np.int64), np.empty(n, np.int32))
         if not hasattr(self, "shares"):
@@ -264,9 +235,9 @@ class PolygonSpace(Workspace):
             self.covered, self.areas = np.empty(self.target.ids.shape), np.zeros(self.target.ids.shape)
         while True:
             self.count, self.entries, self.shared = show_polygons(
-                found.edges, found.first_edge, found.bounds, found.triangles.row, float(self.left), float(self.low),
-                np.int64(self.width), np.int64(self.height), np.int64(s), self.areas, self.target, self.covered,
-                self.empty, self.scratch.entries, self.fragments, self.shares,
+                found.edges, found.first_edge, found.bounds, found.triangles.item, found.triangles.row,
+                float(self.left), float(self.low), np.int64(self.width), np.int64(self.height), np.int64(s), self.areas,
+                self.target, self.covered, self.empty, self.scratch.entries, self.fragments, self.shares,
             )  # fmt: skip
             if self.shared >= 0:
                 return
@@ -276,9 +247,10 @@ class PolygonSpace(Workspace):
 
     def _fragments(self, hierarchy) -> int:
         found = self.image.drawn
-        fill_point_fragments(
-            self.image.view, np.int64(self.left), np.int64(self.low), hierarchy.parts, self.image.sampler.looks,
-            found.normals, found.no_points, found.triangles, self.scratch.entries, self.fragments, np.int64(self.count),
+        fill_fragments(
+            self.image.view, np.int64(self.left), np.int64(self.low), hierarchy.octree, hierarchy.sets,
+            hierarchy.corners, hierarchy.parts, self.image.sampler.looks, found.transforms, found.normals,
+            self.scratch.entries, self.fragments, np.int64(self.count), self.corners,
         )  # fmt: skip
         return self.count
 

@@ -1,211 +1,256 @@
-"""Dynamic sampling: new random points of the triangles for each image (the randomized z-buffer).
+"""Dynamic selection: one walk through the octrees of all placements for a tile, which draws new random points.
 
-    view = make_view(camera, points_per_pixel, epsilon, kept_points, backface_culling)
-    selection = select_boxes(octree, distribution, view)      # boxes to sample, triangles to rasterise
-    points, transforms, statistics = draw_image(octree, distribution, selection, "stratified", seed)
-
+A box is sampled as a whole where its density can be one number: where (z_max / z_min)^2 <= 1 + epsilon, no triangle in
+it expects more than a few points, and it looks no larger than what culling needs; or where it is smaller than a
+fraction of a pixel (talk: "Depth Approximation"). Else the walk goes to its children; its own triangles are drawn as
+they are where they expect more points, and sampled where they do not, instances continue in their group's octree.
+Boxes come nearest first; those outside the tile, and those behind what is drawn already, are left out.
 Time O(log tau + h + a log a log n): tau the relative depth range, h the octrees' height, a the surface in pixels.
 """
 
 from __future__ import annotations
 
-import os
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
-
 import numpy as np
 
-from pointmr_engine.forward.box_selection import (
-    Selection,
-    make_view,
-    select_boxes,
+from pointmr_engine.forward.box_heap import (
+    HIDDEN,
+    add_box,
+    allocate_heap,
+    is_behind,
+    pop,
+    stretch_of,
 )
-from pointmr_engine.forward.cut_outs import CutOuts, no_cut_outs
+from pointmr_engine.forward.draw import Entries, set_constants, triangle_to_camera
+from pointmr_engine.forward.draw_triangles import draw_triangles
 from pointmr_engine.forward.point_draws import (
-    BLOCK,
-    MAX_BLOCKS,
-    PER_BLOCK,
-    RANDOM,
-    STRATIFIED,
-    Line,
-    Points,
-    Scratch,
+    NO_ENTRY,
+    Draws,
     World,
-    draw_blocks,
-    resolve,
+    allocate_pen,
+    draw_box,
+    faces_away,
 )
-from pointmr_engine.forward.transforms import Transforms, allocate_transforms
-from pointmr_engine.hierarchy.distribution import Distribution, allocate_chain
-from pointmr_engine.hierarchy.octree import Octree
+from pointmr_engine.forward.projection import densest, depth_ratio
+from pointmr_engine.forward.subpixels import Target, View, clear, mark_drawn
+from pointmr_engine.forward.transforms import box_to_camera, compose, compose_root, grow_transforms
+from pointmr_engine.forward.walk import (
+    DONE,
+    ENTRIES_FULL,
+    HEAP_FULL,
+    SMALL,
+    TRANSFORMS_FULL,
+    Scratch,
+)
+from pointmr_engine.hierarchy.nesting import area_scale
 from pointmr_engine.numerics.hashing import hash_path
-from pointmr_engine.scene.errors import SceneError
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.pointers import pointer_f64
 
-__all__ = ["PointSet", "Statistics", "draw_image", "make_view", "select_boxes"]
-
-_PIECE = 8  # blocks that a thread takes at a time
-_CHUNK = 1 << 14  # winners that are resolved at a time
-
-
-class PointSet(NamedTuple):
-    """Visible points of an image, of each cell of the depth buffer the nearest."""
-
-    x: np.ndarray  # (N,) float32, pixels of the whole image from its lower left corner
-    y: np.ndarray  # (N,) float32
-    inverse_depth: np.ndarray  # (N,) float32: projection.inverse_depth
-    part: np.ndarray  # (N,) int32
-    triangle: np.ndarray  # (N,) int32, in its shape
-    u: np.ndarray  # (N,) float32: barycentric weight of vertex 1
-    v: np.ndarray  # (N,) float32: of vertex 2
-    transform: np.ndarray  # (N,) int32: row of the transforms
+TRIANGLES, INSTANCES, BOXES = 5, 6, 7
+COUNTERS = ("nodes", "outside", "hidden", "points_drawn", "points", "triangles", "instances", "boxes")
 
 
-class Statistics(NamedTuple):
-    """Counts of one image."""
+class PointScratch(Scratch):
+    """One thread's buffers for walking and drawing points; those of entries and transforms keep what they hold."""
 
-    nodes: int  # looked at
-    boxes: int  # taken
-    triangles: int  # to be rasterised
-    expected: float  # points that the boxes expect
-    drawn: int  # points that were not left out as hidden; the only count that depends on the threads' timing
+    names = COUNTERS
+
+    def __init__(self, target: Target, levels: int):
+        super().__init__(target)
+        self.counters = np.zeros(len(COUNTERS), np.int64)
+        self.pen = allocate_pen(levels, target.depth.shape)
+        self._allocate_rows()
+
+    def _allocate_rows(self) -> None:
+        rows = len(self.transforms.parent)
+        self.scale, self.area = np.empty(rows), np.empty(rows)
+        self.even, self.key = np.empty(rows, np.bool_), np.empty(rows, np.uint64)
+
+    def grow(self, status: int) -> None:
+        entries, rows = int(self.used[0]), int(self.used[1])
+        if status == ENTRIES_FULL:
+            old = self.entries
+            self.entries = Entries(*(np.empty(2 * len(a), a.dtype) for a in old))
+            for new, a in zip(self.entries, old, strict=True):
+                new[:entries] = a[:entries]
+        elif status == HEAP_FULL:
+            self.heap = allocate_heap(2 * len(self.heap.key))
+        else:
+            self.transforms = grow_transforms(self.transforms, rows, 2 * len(self.transforms.parent))
+            self._allocate_rows()
 
 
-def draw_image(
-    octree: Octree,
-    distribution: Distribution,
-    selection: Selection,
-    draws: str,
+def sample_tile(
+    view: View,
+    world: World,
+    camera_from_world: np.ndarray,
+    how: Draws,
     seed: int,
-    occlusion_culling: bool = True,
-    cells: int = 1,
-    depth: np.ndarray | None = None,
-    threads: int = 0,
-    cut_outs: CutOuts | None = None,
-) -> tuple[PointSet, Transforms, Statistics]:
-    """Draw the points of a selection, at selection.eye.limits' density.
+    bounds: tuple[int, int, int, int],
+    scratch: PointScratch,
+    culling: bool = True,
+    subpixels: int = 4,
+    again: bool = False,
+) -> int:
+    """Draw the scene's part in a tile into scratch.target; returns the number of entries.
 
-    draws: "random", "stratified" or "poisson". cells: per side of a pixel; of each the nearest point is kept.
-    depth: (height, width) float32 of the view's region, rows from the bottom: inverse depths that points must surpass
-    (0: nothing there), such as those of the rasterised triangles. threads: 0: one per core. cut_outs: points in the
-    holes of these triangles are left out; None: all are opaque.
-    Returns the points, the selection's transforms with rows added below, and counts. Neither threads nor culling change
-    the points.
-    Raises SceneError where more points are needed than can be numbered (2.7e8).
+    bounds: x0, y0, x1, y1 of the tile in subpixels of the whole image. culling: leave out boxes that are hidden by what
+    is drawn already, which changes nothing but the work. subpixels: per side of a pixel. again: on top of what the
+    target, the entries and the transforms hold; else the target must be empty.
     """
-    geometry, view = octree.geometry, selection.eye
-    if cut_outs is None:
-        cut_outs = no_cut_outs(len(geometry.parts))
-    world = World(octree.arrays, distribution, geometry.tables, geometry.instances, cut_outs)
-    line = _line(selection, draws, seed, occlusion_culling)
-    threads = threads or os.cpu_count() or 1
-    x0, y0, x1, y1 = (int(n) for n in view.region)
-    buffer = np.zeros(((y1 - y0) * cells, (x1 - x0) * cells), np.uint64)
-    if depth is not None:
-        bits = np.ascontiguousarray(depth, np.float32).view(np.uint32).astype(np.uint64)
-        taken = np.where(bits > 0, (bits << np.uint64(32)) | np.uint64(0xFFFFFFFF), np.uint64(0))
-        buffer[:] = taken.repeat(cells, 0).repeat(cells, 1)
-    scratch = [_scratch(geometry.depth) for _ in range(threads)]
-    blocks = _Counter(0, int(-(-line.ends[-1] // BLOCK)))
-
-    def work(t):
-        return sum(
-            draw_blocks(
-                world, selection, line, np.int64(cells), buffer.reshape(-1), np.uint64(buffer.ctypes.data), scratch[t],
-                np.int64(start), np.int64(stop),
-            )
-            for start, stop in blocks
+    scratch.address[3] = world.corners.ctypes.data
+    target, before = scratch.target, scratch.counters.copy()
+    if not again:
+        scratch.pen.cell.fill(0.0)
+        scratch.used[:2] = 0
+    start = scratch.used[:2].copy()
+    shown = (target.depth.copy(), target.ids.copy()) if again else None
+    while True:
+        status = _walk(
+            view, world, how, np.uint64(hash_path(np.uint64(seed & 0xFFFFFFFFFFFFFFFF), np.int64(0))),
+            np.ascontiguousarray(camera_from_world[:3], np.float64), *(np.int64(b) for b in bounds), target,
+            scratch.entries, scratch.heap, scratch.transforms, scratch.scale, scratch.area, scratch.even, scratch.key,
+            scratch.pen, scratch.box, scratch.bounds, scratch.constants, scratch.lanes, scratch.address, bool(culling),
+            np.float32(SMALL * subpixels), scratch.used, scratch.counters,
         )  # fmt: skip
+        if status == DONE:
+            return int(scratch.used[0])
+        scratch.used[:2] = start
+        scratch.grow(status)
+        scratch.counters[:] = before
+        scratch.pen.cell.fill(0.0)
+        if shown is None:
+            clear(target, bounds[2] - bounds[0])
+        else:
+            target.depth[:], target.ids[:] = shown
+            target.stale.fill(1)
+            target.farthest.fill(0.0)
 
-    with ThreadPoolExecutor(threads) as pool:
-        drawn = sum(pool.map(work, range(threads)))
-        points, transforms = _resolved(world, selection, line, buffer, geometry.depth, scratch, pool)
-    statistics = Statistics(
-        selection.visited,
-        len(selection.boxes.row),
-        len(selection.triangles.part),
-        float(line.ends[-1]),
-        drawn,
-    )
-    return points, transforms, statistics
+
+@device
+def _is_seen(view, world, how, transforms, row, i, corners):
+    """Whether item i, a triangle, shows its front, or its back may be seen, too."""
+    if not how.backface_culling:
+        return True
+    triangle_to_camera(transforms.matrix, row, world.corners, i, corners)
+    return not faces_away(view, corners, transforms.matrix, row)
 
 
-def _line(selection: Selection, draws: str, seed: int, culling: bool) -> Line:
-    ends = np.concatenate([[0.0], np.cumsum(selection.boxes.area * selection.eye.limits[1])])
-    total = float(ends[-1])
-    blocks = int(-(-total // BLOCK))
-    if blocks >= MAX_BLOCKS:
-        raise SceneError(f"{total:.2g} points are too many for one image; lower the points per pixel")
-    key = np.uint64(hash_path(np.uint64(seed & 0xFFFFFFFFFFFFFFFF), np.int64(0)))
-    counts = np.zeros(blocks, np.int32)
-    if draws != "stratified" and blocks:
-        rng = np.random.Generator(np.random.Philox(key=int(key)))
-        lengths = np.full(blocks, float(BLOCK))
-        lengths[-1] = total - (blocks - 1) * BLOCK
-        counts[:] = (
-            rng.multinomial(int(np.ceil(total)), lengths / lengths.sum()) if draws == "random" else rng.poisson(lengths)
+@uncounted
+def _walk(view, world, how, seed, camera_from_world, left, low, right, high, target, entries, heap,
+          transforms, scale, area, even, key, pen, box, bounds, constants, lanes, address, culling, small, used,
+          counters):  # fmt: skip
+    octree, distribution = world.octree, world.distribution
+    sums = distribution.sums
+    width, height = right - left, high - low
+    root = len(octree.group_root) - 1
+    if root < 0 or octree.group_root[root] < 0:
+        return DONE
+    sizes = used[2:4]
+    sizes[0] = sizes[1] = 0
+    row = used[1]
+    if row >= len(scale):
+        return TRANSFORMS_FULL
+    used[1] += 1
+    compose_root(transforms, camera_from_world, octree, root, row)
+    scale[row] = stretch_of(transforms.matrix, row)
+    area[row], even[row] = area_scale(transforms.matrix[row], np.int64(0))
+    key[row] = seed
+    add_box(view, octree, heap, sizes, transforms, np.int64(octree.group_root[root]), row, 0.0, box, bounds, left, low,
+            width, height, counters, target, culling)  # fmt: skip
+    while sizes[0] > 0:
+        slot = np.int64(heap.slot[0])
+        pop(heap, sizes[0])
+        sizes[0] -= 1
+        node, row = np.int64(heap.node[slot]), np.int64(heap.row[slot])
+        x0, y0 = np.float64(heap.bounds[slot, 0]), np.float64(heap.bounds[slot, 1])
+        x1, y1 = np.float64(heap.bounds[slot, 2]), np.float64(heap.bounds[slot, 3])
+        box_to_camera(transforms.matrix, row, octree.box, node, box)
+        near, far = max(box[2], view.near), box[5]
+        crossing = box[2] <= view.near
+        if culling and is_behind(view, target, width, height, x0, y0, x1, y1, near):
+            counters[HIDDEN] += 1
+            continue
+        first, own_end, end = octree.items[node, 0], octree.items[node, 2], octree.items[node, 3]
+        # most points that a unit of area may need: at the nearest depth, and as far from the axis as the tile reaches
+        density = how.density * area[row] * densest(
+            view, near, left + max(x0, 0.0), low + max(y0, 0.0), left + min(x1, width), low + min(y1, height)
         )  # fmt: skip
-        if counts.max() >= PER_BLOCK:
-            raise SceneError("the random numbers are broken: too many points in one block")
-    kind = {"random": RANDOM, "poisson": RANDOM, "stratified": STRATIFIED}[draws]
-    return Line(ends, counts, np.int64(kind), key, np.int64(culling))
-
-
-def _scratch(levels: int) -> Scratch:
-    return Scratch(
-        np.empty(PER_BLOCK + 1),
-        allocate_chain(levels),
-        np.empty(2),
-        np.empty(3),
-        np.empty(levels + 2, np.int64),
-    )
-
-
-class _Counter:
-    """Pieces of a range of blocks, for threads to take."""
-
-    def __init__(self, start: int, stop: int) -> None:
-        self._next, self._stop, self._lock = start, stop, threading.Lock()
-
-    def __iter__(self):
-        while True:
-            with self._lock:
-                start = self._next
-                self._next = min(start + _PIECE, self._stop)
-            if start >= self._stop:
-                return
-            yield start, min(start + _PIECE, self._stop)
-
-
-def _resolved(world, selection, line, buffer, levels, scratch, pool) -> tuple[PointSet, Transforms]:
-    """The buffer's winners as points, in the order of their numbers."""
-    low = buffer[(buffer & np.uint64(0xFFFFFFFF)) != np.uint64(0xFFFFFFFF)] & np.uint64(0xFFFFFFFF)
-    numbers = np.sort(np.int64(0xFFFFFFFE) - low[low > 0].astype(np.int64))
-    starts = range(0, len(numbers), _CHUNK)
-    free = list(scratch)  # a chunk takes one and gives it back
-
-    def chunk(start):
-        stop = min(start + _CHUNK, len(numbers))
-        mine = free.pop()
-        n = stop - start
-        real, whole = (lambda: np.empty(n, np.float32)), (lambda: np.empty(n, np.int32))
-        out = Points(
-            real(), real(), real(), whole(), whole(), real(), real(), whole(), allocate_transforms(n * levels)
+        shift = distribution.shift[transforms.group[row]]
+        expected = (sums[end + shift] - sums[first + shift]) * density
+        if expected <= 0.0:
+            continue
+        leaf = octree.child[node, 1] == 0 and octree.item[first, 0] >= 0
+        wide = max(x1 - x0, y1 - y0)
+        largest = distribution.largest[node] * density
+        even_depth = (
+            depth_ratio(view.perspective, near, far) <= how.ratio
+            and largest <= how.kept
+            and (leaf or wide <= how.wide)
         )
-        rows = resolve(world, selection, line, numbers, np.int64(start), np.int64(stop), mine, out)
-        free.append(mine)
-        return out._replace(added=Transforms(*(a[:rows].copy() for a in out.added)))
-
-    chunks = list(pool.map(chunk, starts))
-    own = selection.transforms
-    known = first = len(own.record)
-    for c in chunks:
-        for column in (c.transform, c.added.parent):
-            column[column >= known] += first - known
-        first += len(c.added.record)
-    transforms = Transforms(
-        *(np.concatenate([a, *(c.added[i] for c in chunks)]) if chunks else a for i, a in enumerate(own))
-    )
-    if not chunks:
-        f, i = np.zeros(0, np.float32), np.zeros(0, np.int32)
-        return PointSet(f, f, f, i, i, f, f, i), transforms
-    return PointSet(*(np.concatenate(c) for c in zip(*(c[:8] for c in chunks), strict=True))), transforms
+        if not crossing and (wide <= how.tiny or even_depth):
+            if wide <= how.tiny:
+                expected = min(expected, how.most)
+            counters[BOXES] += 1
+            before = used[0]
+            status = draw_box(
+                view, target, width, height, left, low, world, how, pen, transforms, area, even, row,
+                first, end, expected, hash_path(key[row], node), entries, used, counters,
+            )  # fmt: skip
+            if status < 0:
+                return ENTRIES_FULL if status == NO_ENTRY else TRANSFORMS_FULL
+            if used[0] > before:
+                mark_drawn(
+                    target, width, height, x0 - how.radius, y0 - how.radius, x1 + how.radius, y1 + how.radius
+                )
+            continue
+        i, before, ready = np.int64(first), used[0], False
+        while i < own_end:
+            part, which = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
+            if part < 0:
+                new = used[1]
+                if new >= len(scale):
+                    return TRANSFORMS_FULL
+                batch = -1 - part
+                group = compose(transforms, row, octree, world.instances, batch, which, new)
+                bound, same = area_scale(pointer_f64(world.instances.transforms[batch]), 12 * which)
+                scale[new] = stretch_of(transforms.matrix, new)
+                area[new], even[new] = area[row] * bound, even[row] and same
+                key[new] = hash_path(key[row], np.int64(-1) - transforms.record[new])
+                counters[INSTANCES] += 1
+                slots = sizes[1]
+                if not add_box(view, octree, heap, sizes, transforms, np.int64(octree.group_root[group]), new, 0.0, box,
+                               bounds, left, low, width, height, counters, target, culling):  # fmt: skip
+                    return HEAP_FULL
+                if sizes[1] > slots:
+                    used[1] += 1
+                i += 1
+                continue
+            last = i + 1
+            seen = _is_seen(view, world, how, transforms, row, i, pen.corners)
+            while last < own_end and octree.item[last, 0] >= 0:
+                if _is_seen(view, world, how, transforms, row, last, pen.corners) != seen:
+                    break
+                last += 1
+            if seen:
+                if used[0] + last - i > len(entries.surfel):
+                    return ENTRIES_FULL
+                if not ready:
+                    set_constants(view, width, height, left, low, transforms.matrix, row, scale[row], octree.box, node,
+                                  constants)  # fmt: skip
+                    ready = True
+                counters[TRIANGLES] += last - i
+                used[0] = draw_triangles(
+                    view, target, width, height, left, low, constants, lanes, address, transforms.matrix, row,
+                    octree.item, world.corners, world.cut_outs, i, last, entries, used[0], pen.corners, small,
+                )  # fmt: skip
+            i = last
+        if used[0] > before:
+            mark_drawn(
+                target, width, height, x0 - how.radius, y0 - how.radius, x1 + how.radius, y1 + how.radius
+            )
+        for c in range(octree.child[node, 0], octree.child[node, 0] + octree.child[node, 1]):
+            if not add_box(view, octree, heap, sizes, transforms, np.int64(c), row, 0.0, box, bounds, left, low, width,
+                           height, counters, target, culling):  # fmt: skip
+                return HEAP_FULL
+    return DONE

@@ -21,7 +21,7 @@ from pointmr_engine.forward.fragments import (
 from pointmr_engine.forward.lambert import SimpleShading
 from pointmr_engine.forward.subpixels import make_view
 from pointmr_engine.forward.tiles import TILE, WIDE_TILE, Workspace
-from pointmr_engine.forward.walk import COUNTERS, HARDLY, Hierarchy
+from pointmr_engine.forward.walk import HARDLY, Hierarchy
 from pointmr_engine.forward.world_light import WorldLight
 from pointmr_engine.hierarchy.distribution import Distribution, build_distribution
 from pointmr_engine.hierarchy.geometry import Geometry
@@ -173,10 +173,9 @@ class Image:
             self.drawn, self.space_of = VisiblePolygons(self), PolygonSpace
             self.drawn.find(tell)
         elif self.settings.forward.sampling == "dynamic":
-            from pointmr_engine.forward.points_method import DrawnPoints, PointSpace
+            from pointmr_engine.forward.points_method import PointSpace
 
-            self.drawn, self.space_of = DrawnPoints(self), PointSpace
-            self.drawn.draw(tell)
+            self.space_of = PointSpace
 
     def choose_cut_outs(self):
         """The opacity that triangles with holes are drawn by."""
@@ -297,8 +296,7 @@ def render_image(
         counters = Counter(image.drawn.counts if image.drawn is not None else {})
         image.finish()
     for space in spaces:
-        counters.update(dict(zip(COUNTERS, space.scratch.counters.tolist(), strict=True)))
-        counters.update(fragments=space.shaded, closed=space.closed)
+        counters.update(space.counts())
         counters.update(getattr(space.shading, "counters", {}))
     image.sampler.keep(image, spaces)
     return counters

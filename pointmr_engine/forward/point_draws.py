@@ -1,36 +1,32 @@
-"""Random points of the selected boxes, through a 64-bit depth buffer: what is hidden is never stored.
+"""Random points of a box, drawn into a tile as discs: what is hidden is never stored.
 
-All boxes, from front to back, lie side by side on one line, each as long as the number of points that it expects. A
-block is a piece of that line; its positions are a function of seed and block alone:
-random - a fixed number of independent positions for the whole line, shared out among the blocks by the multinomial
-distribution; poisson - an independent, Poisson-distributed number in each block (so each box has one, too);
-stratified - one position in each unit of length. Each cell of the buffer keeps the largest (inverse depth, number of
-the draw), so the outcome does not depend on who draws what when; the winners alone are drawn a second time, with all
-that belongs to them.
+A node's surface lies on a line, in the octree's order, as long as the number of points that it expects. Points are a
+function of the seed, the placement and the node alone, so neighbouring tiles see the same ones. random: a Poisson
+process, whose gaps are independent and exponential (a box has a Poisson-distributed number of independent points, and
+they come in order: one sweep instead of many searches); stratified: one point in each unit of length. A point is
+dropped if something nearer is drawn at its subpixel, or if it is not the nearest of its cell so far; else it is a small
+disc in the plane of its triangle, round in the image (talk: "Dynamic Sampling").
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.box_selection import Selection
 from pointmr_engine.forward.cut_out_cover import cut_out_of, opacity_at
-from pointmr_engine.forward.projection import inverse_depth
-from pointmr_engine.forward.transforms import Transforms
-from pointmr_engine.hierarchy.distribution import Chain, draw, uniform
-from pointmr_engine.numerics.atomics import atomic_max_u64
+from pointmr_engine.forward.draw import to_target, triangle_to_camera
+from pointmr_engine.forward.subpixels import cover_ellipse, cover_run
+from pointmr_engine.hierarchy.distribution import Chain, allocate_chain, draw, uniform
 from pointmr_engine.numerics.hashing import hash_path
-from pointmr_engine.numerics.jit import merged, uncounted
-from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
+from pointmr_engine.numerics.jit import device
 
-BLOCK = 256  # units of length in a block
-PER_BLOCK = 4096  # positions that one can hold: numbers of draws are block * PER_BLOCK + position
-MAX_BLOCKS = 1 << 20  # of which 32 bits have room
-RANDOM, STRATIFIED = 0, 1
+STEEP = 4.0  # depth over width of the steepest disc: triangles seen edge-on would reach to the eye
+NO_ENTRY, NO_ROW = -1, -2  # of draw_box: what ran out
+DRAWN, POINTS = 3, 4  # counters: points drawn; and those that were the nearest so far
 _OPACITY = np.int64(1 << 40)  # number of the random number that decides about transparency
-_TAKEN = np.uint64(0xFFFFFFFF)
+_BELOW_ONE = 1.0 - 2.0**-53
 
 
 class World(NamedTuple):
@@ -38,293 +34,228 @@ class World(NamedTuple):
 
     octree: NamedTuple  # OctreeArrays
     distribution: NamedTuple  # Distribution
-    tables: NamedTuple  # PartTables
+    corners: np.ndarray  # (M, 9) float32 of the octree's items: octree.triangle_corners
+    parts: NamedTuple  # PartTables
     instances: NamedTuple  # BatchTables
     cut_outs: NamedTuple  # CutOuts: points in holes are refused
 
 
-class Line(NamedTuple):
-    """The boxes' places on the line."""
+class Draws(NamedTuple):
+    """How densely and in which way an image is sampled; lengths in subpixels."""
 
-    ends: np.ndarray  # (K + 1,) float64: box k is ends[k]..ends[k + 1]
-    counts: np.ndarray  # (B,) int32 positions of each block; unused if stratified
-    kind: int  # RANDOM or STRATIFIED
-    key: int  # uint64 of the seed
-    culling: int  # int64: 1: boxes hidden by what was drawn before are left out
+    density: float  # points per subpixel that a surface covers
+    ratio: float  # (z_max / z_min)^2 of a box that is sampled at one density, at most: 1 + epsilon
+    kept: float  # points: triangles that expect more are drawn as triangles
+    wide: float  # larger boxes are not sampled as a whole, for small ones are hidden as a whole more often
+    tiny: float  # a box whose sides look no longer is sampled as a whole whatever its depths ...
+    most: float  # ... by so many points at most, however much surface is folded into it
+    radius: float  # of a point's disc; 0: the subpixel that it lies in is all that it shows
+    cells: float  # per subpixel's side; of each the nearest point is kept
+    stratified: bool  # else random
+    backface_culling: bool
 
 
-class Scratch(NamedTuple):
+class Pen(NamedTuple):
     """A thread's working memory."""
 
-    at: np.ndarray  # (PER_BLOCK + 1,) float64
     chain: Chain
     weights: np.ndarray  # (2,) float64
-    point: np.ndarray  # (3,) float64: x, y in pixels, inverse depth
-    rows: np.ndarray  # (L,) int64
+    rows: np.ndarray  # (L,) int64 of the transforms, of the placements that the last point lies in
+    corners: np.ndarray  # (3, 3) float64
+    cell: np.ndarray  # (H, W) float32: nearness of the nearest point so far of each cell of the tile
 
 
-class Points(NamedTuple):
-    """Columns of a PointSet while it is made, with the rows of transforms that it adds."""
-
-    x: np.ndarray  # (N,) float32
-    y: np.ndarray
-    inverse_depth: np.ndarray
-    part: np.ndarray  # (N,) int32
-    triangle: np.ndarray
-    u: np.ndarray  # (N,) float32
-    v: np.ndarray
-    transform: np.ndarray  # (N,) int32; from `first_new` on: rows of `added`
-    added: Transforms
+def allocate_pen(levels: int, cells: tuple[int, int]) -> Pen:
+    """Working memory for groups nested `levels` deep and tiles of up to so many cells (rows, columns)."""
+    return Pen(
+        allocate_chain(levels),
+        np.empty(2),
+        np.empty(levels + 2, np.int64),
+        np.empty((3, 3)),
+        np.zeros(cells, np.float32),
+    )
 
 
-@uncounted
-def positions(line: Line, block, at):
-    """Fill `at` with a block's positions, rising; returns how many. Past the line's end: infinite."""
-    key = hash_path(np.uint64(line.key), block)
-    low = np.float64(block) * BLOCK
-    total = line.ends[len(line.ends) - 1]
-    if line.kind == STRATIFIED:
-        n = np.int64(BLOCK)
-        for i in range(n):
-            x = low + i + uniform(key, np.int64(i))
-            at[i] = x if x < total else np.inf
-        return n
-    n = np.int64(line.counts[block])
-    length = min(np.float64(BLOCK), total - low)
-    # gaps of an exponential distribution: independent uniform positions, in order
-    total = 0.0
-    for i in range(n + 1):
-        total -= np.log(1.0 - uniform(key, np.int64(i)))
-        at[i] = total
-    for i in range(n):
-        at[i] = min(low + length * (at[i] / total), np.nextafter(low + length, 0.0))
-    return n
+@device
+def plane_of(corners):
+    """Cross product of a triangle's edges, corners (3, 3)."""
+    ax, ay, az = (
+        corners[1, 0] - corners[0, 0],
+        corners[1, 1] - corners[0, 1],
+        corners[1, 2] - corners[0, 2],
+    )
+    bx, by, bz = (
+        corners[2, 0] - corners[0, 0],
+        corners[2, 1] - corners[0, 1],
+        corners[2, 2] - corners[0, 2],
+    )
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@uncounted
-def _box_at(ends, x, k):
-    """The box whose interval holds x, from box k on; k = -1: search."""
-    if k < 0:
-        low, high = np.int64(0), np.int64(len(ends) - 1)
-        while high - low > 1:
-            middle = (low + high) >> 1
-            if ends[middle] <= x:
-                low = middle
-            else:
-                high = middle
-        return low
-    while ends[k + 1] <= x:
-        k += 1
-    return k
-
-
-@uncounted
-def _enter_box(selection, scratch, k):
-    chain = scratch.chain
-    row = np.int64(selection.boxes.row[k])
-    for c in range(12):
-        chain.matrix[0, c] = selection.transforms.matrix[row, c]
-    chain.group[0] = selection.transforms.group[row]
-    chain.scale[0] = selection.scale[row]
-    chain.uniform[0] = selection.uniform[row]
-    chain.item[0] = -1
-
-
-@merged
-def _draw_point(world, selection, line, scratch, k, x, key):
-    """One point of box k: its level in the chain, and scratch.point; -1: refused, clipped or outside the region."""
-    octree, view, chain = world.octree, selection.eye, scratch.chain
-    camera, weights = view.camera, scratch.weights
-    boxes = selection.boxes
-    u = (x - line.ends[k]) / (line.ends[k + 1] - line.ends[k])
-    level = draw(
-        octree, world.distribution, world.tables, world.instances,
-        np.int64(boxes.interval[k, 0]), np.int64(boxes.interval[k, 1]), u, key, chain, weights,
-    )  # fmt: skip
-    if level < 0:
-        return level
-    i, group = chain.item[level], chain.group[level]
-    part, triangle = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
-    p, t = pointer_f32(world.tables.positions[part]), pointer_i32(world.tables.triangles[part])
-    i0, i1 = 3 * np.int64(t[3 * triangle]), 3 * np.int64(t[3 * triangle + 1])
-    i2 = 3 * np.int64(t[3 * triangle + 2])
-    w1, w2 = weights[0], weights[1]
-    hole = cut_out_of(world.cut_outs, part, triangle)
-    if hole >= 0 and uniform(key, _OPACITY) * 255.0 >= opacity_at(world.cut_outs, hole, w1, w2):
-        return np.int64(-1)
-    w0 = 1.0 - w1 - w2
-    a = w0 * p[i0] + w1 * p[i1] + w2 * p[i2]
-    b = w0 * p[i0 + 1] + w1 * p[i1 + 1] + w2 * p[i2 + 1]
-    c = w0 * p[i0 + 2] + w1 * p[i1 + 2] + w2 * p[i2 + 2]
-    a += octree.part_offset[part, 0] - octree.group_center[group, 0]
-    b += octree.part_offset[part, 1] - octree.group_center[group, 1]
-    c += octree.part_offset[part, 2] - octree.group_center[group, 2]
-    m = chain.matrix
-    z = m[level, 8] * a + m[level, 9] * b + m[level, 10] * c + m[level, 11]
-    if z < camera.clip[0] or z > camera.clip[1] or (camera.perspective[0] and z <= 0.0):
-        return np.int64(-1)
-    px = m[level, 0] * a + m[level, 1] * b + m[level, 2] * c + m[level, 3]
-    py = m[level, 4] * a + m[level, 5] * b + m[level, 6] * c + m[level, 7]
-    if camera.perspective[0]:
-        px /= z
-        py /= z
-    px = (px - camera.plane[0, 0]) / camera.plane[1, 0]
-    py = (py - camera.plane[0, 1]) / camera.plane[1, 1]
-    # as it will be stored: rounding must not carry the only point of a pixel into the next
-    px, py = np.float64(np.float32(px)), np.float64(np.float32(py))
-    region = view.region
-    if not (region[0] <= px < region[2] and region[1] <= py < region[3]):
-        return np.int64(-1)
-    if view.limits[4] != 0.0 and _faces_away(m, level, p, i0, i1, i2, a, b, c, camera.perspective[0]):
-        return np.int64(-1)
-    scratch.point[0] = px
-    scratch.point[1] = py
-    scratch.point[2] = inverse_depth(camera, z)
-    return level
-
-
-@uncounted
-def _faces_away(m, row, p, i0, i1, i2, a, b, c, perspective):
-    """Whether a triangle, (a, b, c) a point of it in its group, shows its back."""
-    ux, uy, uz = p[i1] - p[i0], p[i1 + 1] - p[i0 + 1], p[i1 + 2] - p[i0 + 2]
-    vx, vy, vz = p[i2] - p[i0], p[i2 + 1] - p[i0 + 1], p[i2 + 2] - p[i0 + 2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    # the view's direction in the group: the eye solves m * eye = 0, and n * (p - eye) = n * inverse(m) * (m p)
-    m00, m01, m02 = m[row, 0], m[row, 1], m[row, 2]
-    m10, m11, m12 = m[row, 4], m[row, 5], m[row, 6]
-    m20, m21, m22 = m[row, 8], m[row, 9], m[row, 10]
-    c00, c01, c02 = m11 * m22 - m12 * m21, m12 * m20 - m10 * m22, m10 * m21 - m11 * m20
-    c10, c11, c12 = m21 * m02 - m22 * m01, m22 * m00 - m20 * m02, m20 * m01 - m21 * m00
-    c20, c21, c22 = m01 * m12 - m02 * m11, m02 * m10 - m00 * m12, m00 * m11 - m01 * m10
-    # the normal in camera space, times the determinant
-    x = c00 * nx + c01 * ny + c02 * nz
-    y = c10 * nx + c11 * ny + c12 * nz
-    z = c20 * nx + c21 * ny + c22 * nz
-    det = m00 * c00 + m01 * c01 + m02 * c02
-    toward = z
-    if perspective:
-        toward = x * (m00 * a + m01 * b + m02 * c + m[row, 3])
-        toward += y * (m10 * a + m11 * b + m12 * c + m[row, 7])
-        toward += z * (m20 * a + m21 * b + m22 * c + m[row, 11])
+@device
+def faces_away(view, corners, m, row):
+    """Whether the triangle with these corners in camera space, carried there by m[row], shows its back."""
+    x, y, z = plane_of(corners)
+    toward = x * corners[0, 0] + y * corners[0, 1] + z * corners[0, 2] if view.perspective else z
+    # the product has turned over with the matrix (always by the camera's z, which points into the scene)
+    det = m[row, 0] * (m[row, 5] * m[row, 10] - m[row, 6] * m[row, 9])
+    det -= m[row, 1] * (m[row, 4] * m[row, 10] - m[row, 6] * m[row, 8])
+    det += m[row, 2] * (m[row, 4] * m[row, 9] - m[row, 5] * m[row, 8])
     return toward * det >= 0.0
 
 
-@uncounted
-def _cell(view, cells, px, py):
-    """Cell of a point in the buffer, rows from the bottom."""
-    width = (view.region[2] - view.region[0]) * cells
-    cx = min(np.int64((px - view.region[0]) * cells), width - 1)
-    cy = min(np.int64((py - view.region[1]) * cells), (view.region[3] - view.region[1]) * cells - 1)
-    return cy * width + cx
+@device
+def _slopes(view, corners, x, y, z):
+    """Growth of nearness per subpixel of the triangle's plane through (x, y, z), no steeper than STEEP."""
+    nx, ny, nz = plane_of(corners)
+    if view.perspective:
+        d = nx * x + ny * y + nz * z
+        most_x, most_y = STEEP / (z * view.scale_x), STEEP / (z * view.scale_y)
+    else:
+        d = nz / view.depth_scale
+        most_x, most_y = STEEP * view.depth_scale / view.scale_x, STEEP * view.depth_scale / view.scale_y
+    if d == 0.0:
+        return 0.0, 0.0
+    a, b = nx / (d * view.scale_x), ny / (d * view.scale_y)
+    steep = max(abs(a) / most_x, abs(b) / most_y, 1.0)
+    return a / steep, b / steep
 
 
-@uncounted
-def _hidden(selection, cells, buffer, k):
-    """Whether all cells that box k may touch hold something nearer than all of it."""
-    rectangle, region = selection.boxes.rectangle, selection.eye.region
-    width = (region[2] - region[0]) * cells
-    nearest = np.uint64(np.float32(selection.boxes.nearest[k]).view(np.uint32))
-    x0, x1 = (rectangle[k, 0] - region[0]) * cells, (rectangle[k, 2] - region[0]) * cells
-    for y in range((rectangle[k, 1] - region[1]) * cells, (rectangle[k, 3] - region[1]) * cells):
-        for cell in range(y * width + x0, y * width + x1):
-            if buffer[cell] >> np.uint64(32) <= nearest:
-                return False
-    return True
+@device
+def _row_of(pen, octree, instances, transforms, row, level, known, used):
+    """The transforms' row of the last draw's placement, `level` levels below `row`; -1: no room.
 
-
-@uncounted
-def draw_blocks(
-    world: World, selection: Selection, line: Line, cells, buffer, address, scratch: Scratch, start, stop
-):
-    """Draw the blocks start..stop into `buffer`; returns the number of points drawn.
-
-    buffer: (cells,) uint64, rows from the bottom, at `address`: the bits of the largest inverse depth, and below them
-    those of the draw's number, inverted; `cells` of them to a pixel's side. Threads share it: updates are atomic, and a
-    box is left out when what happens to be there already hides it, which changes nothing but the work.
+    Rows are added where the draw before came through other placements, of which `known` are in pen.rows. used (K,)
+    int64: the rows are used[1].
     """
-    drawn = np.int64(0)
-    for block in range(start, stop):
-        n = positions(line, np.int64(block), scratch.at)
-        key = hash_path(np.uint64(line.key), np.int64(-2 - block))
-        k, entered, hidden = np.int64(-1), np.int64(-1), False
-        for i in range(n):
-            x = scratch.at[i]
-            if x == np.inf:
-                break
-            k = _box_at(line.ends, x, k)
-            if k != entered:
-                entered = k
-                hidden = line.culling != 0 and _hidden(selection, cells, buffer, k)
-                if not hidden:
-                    _enter_box(selection, scratch, k)
-            if hidden:
+    chain = pen.chain
+    for d in range(level):
+        item = chain.item[d]
+        record = instances.first_record[-1 - octree.item[item, 0]] + octree.item[item, 1]
+        if d < known:
+            last = pen.rows[d]
+            if transforms.record[last] == record and transforms.parent[last] == row:
+                row = last
                 continue
-            drawn += 1
-            if _draw_point(world, selection, line, scratch, k, x, hash_path(key, np.int64(i))) < 0:
-                continue
-            cell = _cell(selection.eye, cells, scratch.point[0], scratch.point[1])
-            bits = np.float32(scratch.point[2]).view(np.uint32)
-            number = _TAKEN - np.uint64(block * PER_BLOCK + i + 1)
-            value = (np.uint64(bits) << np.uint64(32)) | number
-            if value > buffer[cell]:
-                atomic_max_u64(address, cell, value)
-    return drawn
-
-
-@uncounted
-def resolve(world, selection, line, numbers, start, stop, scratch: Scratch, out: Points):
-    """Draw the winners numbers[start:stop] (rising int64) again and fill rows 0.. of `out`; returns the rows added.
-
-    Transforms of placements inside boxes are added to out.added, numbered from the number of the selection's rows on.
-    """
-    chain = scratch.chain
-    known = np.int64(len(selection.scale))
-    rows, block, count = np.int64(0), np.int64(-1), np.int64(0)
-    depth, key = (
-        np.int64(0),
-        np.uint64(0),
-    )  # depth: levels of the last point's chain, whose rows are in scratch.rows
-    for n in range(start, stop):
-        at = n - start
-        if numbers[n] // PER_BLOCK != block:
-            block = numbers[n] // PER_BLOCK
-            count = positions(line, block, scratch.at)
-            key = hash_path(np.uint64(line.key), -2 - block)
-        i = numbers[n] - block * PER_BLOCK
-        if i >= count:
+        new = used[1]
+        if new >= len(transforms.record):
             return np.int64(-1)
-        x = scratch.at[i]
-        k = _box_at(line.ends, x, np.int64(-1))
-        # unlike the drawing, each point begins anew: rows must be those of its own chain
-        _enter_box(selection, scratch, k)
-        level = _draw_point(world, selection, line, scratch, k, x, hash_path(key, i))
-        row = np.int64(selection.boxes.row[k])
-        for d in range(level):
-            item = chain.item[d]
-            record = (
-                world.instances.first_record[-1 - world.octree.item[item, 0]] + world.octree.item[item, 1]
+        for c in range(12):
+            transforms.matrix[new, c] = chain.matrix[d + 1, c]
+        transforms.parent[new] = row
+        transforms.record[new] = record
+        transforms.group[new] = chain.group[d + 1]
+        pen.rows[d] = new
+        known = d + 1
+        used[1] += 1
+        row = new
+    return row
+
+
+@device
+def draw_box(
+    view, target, width, height, left, low, world, how, pen, transforms, area, even, row, first, end,
+    expected, key, entries, used, counters,
+):  # fmt: skip
+    """Draw the points of a node, the items first..end, of which so many are expected.
+
+    area, even: bound of the factor by which a row's matrix scales areas, and whether it is
+    exact. key: uint64 of the node in its placement. used (K,) int64: entries and rows of the transforms, both advanced.
+    Returns NO_ENTRY or NO_ROW where there is no more room, else 0.
+    """
+    octree, chain, weights = world.octree, pen.chain, pen.weights
+    m = chain.matrix
+    for c in range(12):
+        m[0, c] = transforms.matrix[row, c]
+    chain.group[0] = transforms.group[row]
+    chain.scale[0] = area[row]
+    chain.uniform[0] = even[row]
+    chain.item[0] = -1
+    inverse = 1.0 / expected
+    spread = hash_path(key, np.int64(-2))
+    number, at, known = np.int64(-1), 0.0, np.int64(0)
+    while True:
+        number += 1
+        if how.stratified:
+            at = number + uniform(key, number)
+        else:
+            at -= math.log(1.0 - uniform(key, number))
+        if (
+            at >= expected
+        ):  # where the last unit is not whole, no point in it is as probable as the rest is long
+            return np.int64(0)
+        counters[DRAWN] += 1
+        random = hash_path(spread, number)
+        level = draw(
+            octree, world.distribution, world.parts, world.instances, first, end,
+            min(at * inverse, _BELOW_ONE), random, chain, weights,
+        )  # fmt: skip
+        if level < 0:
+            continue
+        i = chain.item[level]
+        w1, w2 = weights[0], weights[1]
+        w0 = 1.0 - w1 - w2
+        p = world.corners
+        a = w0 * p[i, 0] + w1 * p[i, 3] + w2 * p[i, 6]
+        b = w0 * p[i, 1] + w1 * p[i, 4] + w2 * p[i, 7]
+        c = w0 * p[i, 2] + w1 * p[i, 5] + w2 * p[i, 8]
+        z = m[level, 8] * a + m[level, 9] * b + m[level, 10] * c + m[level, 11]
+        if z < view.near or z > view.far:
+            continue
+        x = m[level, 0] * a + m[level, 1] * b + m[level, 2] * c + m[level, 3]
+        y = m[level, 4] * a + m[level, 5] * b + m[level, 6] * c + m[level, 7]
+        px, py, w = to_target(view, x, y, z)
+        px -= left
+        py -= low
+        if px < -how.radius or py < -how.radius or px > width + how.radius or py > height + how.radius:
+            continue
+        column, line = np.int64(math.floor(px)), np.int64(math.floor(py))
+        inside = 0 <= column < width and 0 <= line < height
+        if inside:
+            if np.float32(w) <= target.depth[line, column]:
+                continue
+            cx, cy = np.int64(px * how.cells), np.int64(py * how.cells)
+            if np.float32(w) <= pen.cell[cy, cx]:
+                continue
+        hole = cut_out_of(world.cut_outs, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]))
+        if hole >= 0 and uniform(random, _OPACITY) * 255.0 >= opacity_at(world.cut_outs, hole, w1, w2):
+            continue
+        triangle_to_camera(m, level, world.corners, i, pen.corners)
+        if how.backface_culling and faces_away(view, pen.corners, m, level):
+            continue
+        if inside:
+            pen.cell[cy, cx] = w
+        entry = used[0]
+        if entry >= len(entries.surfel):
+            return np.int64(NO_ENTRY)
+        written = False
+        if how.radius > 0.0:
+            slope_x, slope_y = _slopes(view, pen.corners, x, y, z)
+            square = how.radius * how.radius
+            written = cover_ellipse(
+                target,
+                width,
+                height,
+                px,
+                py,
+                square,
+                0.0,
+                square,
+                w,
+                slope_x,
+                slope_y,
+                entry,
+                2.0,
+                np.int64(0),
             )
-            if d < depth:  # neighbours mostly come through the same placements
-                last = scratch.rows[d]
-                if out.added.record[last] == record and out.added.parent[last] == row:
-                    row = known + last
-                    continue
-            for c in range(12):
-                out.added.matrix[rows, c] = chain.matrix[d + 1, c]
-            out.added.parent[rows] = row
-            out.added.record[rows] = record
-            out.added.group[rows] = chain.group[d + 1]
-            scratch.rows[d] = rows
-            depth = d + 1
-            row = known + rows
-            rows += 1
-        item = chain.item[level]
-        out.x[at] = scratch.point[0]
-        out.y[at] = scratch.point[1]
-        out.inverse_depth[at] = scratch.point[2]
-        out.part[at] = world.octree.item[item, 0]
-        out.triangle[at] = world.octree.item[item, 1]
-        out.u[at] = scratch.weights[0]
-        out.v[at] = scratch.weights[1]
-        out.transform[at] = row
-    return rows
+        if inside and cover_run(target, line, column, column, w, 0.0, entry, 2.0, np.int64(0)):
+            written = True
+        if written:
+            placed = _row_of(pen, octree, world.instances, transforms, row, level, known, used)
+            if placed < 0:
+                return np.int64(NO_ROW)
+            known = max(known, level)
+            entries.surfel[entry] = -2 - 2 * i  # one fragment, wherever it is visible
+            entries.row[entry] = placed
+            used[0] = entry + 1
+            counters[POINTS] += 1

@@ -176,14 +176,15 @@ def add_polygon(edges, first, last, left, low, scale, width, height, sums):
 
 @uncounted
 def show_polygons(
-    edges, first_edge, bounds, rows, left, low, width, height, cells, sums, target, covered, empty, entries, fragments,
-    shares,
+    edges, first_edge, bounds, items, rows, left, low, width, height, cells, sums, target, covered, empty, entries,
+    fragments, shares,
 ):  # fmt: skip
     """Fragments of a tile, one per polygon and pixel: how many, and the numbers of entries and shares (-1: no room).
 
-    edges (E, 4) of polygon t from first_edge[t] on; bounds (T, 4) in pixels; rows (T,) int32 of the transforms. cells:
-    per side of a pixel. sums (height, width + 2) zero; covered (height, width) filled: the covered area of each cell;
-    target.ids: the fragment that has most of a cell; empty (rows, columns) uint8: pixels that are not covered whole.
+    edges (E, 4) of polygon t from first_edge[t] on; bounds (T, 4) in pixels; items (T,) int32 of the octree, rows (T,)
+    int32 of the transforms. cells: per side of a pixel. sums (height, width + 2) zero; covered (height, width) filled:
+    the covered area of each cell; target.ids: the fragment that has most of a cell; empty (rows, columns) uint8: pixels
+    that are not covered whole.
     """
     count, used, total = np.int64(0), np.int64(0), np.int64(0)
     for y in range(height):
@@ -235,7 +236,7 @@ def show_polygons(
             for x in range(x1):
                 sums[y, x] = 0.0
         if count > before:
-            entries.surfel[used] = -1 - 2 * t
+            entries.surfel[used] = -1 - 2 * np.int64(items[t])
             entries.row[used] = rows[t]
             used += 1
     for y in range(0, height, cells):

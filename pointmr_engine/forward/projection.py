@@ -65,44 +65,19 @@ def depth_ratio(perspective, z_min, z_max):
 
 
 @uncounted
-def distortion_bounds(perspective, box, slope_max):
-    """(lower, upper) bound of the distortion factor in a camera-space box (6,) with z_min > 0.
-
-    slope_max: the largest tangent of alpha in the image: what lies farther out is not seen, and does not count.
-    """
-    if not perspective:
-        return 1.0, 1.0
-    near, far = 0.0, 0.0
-    for k in range(2):
-        low, high = box[k], box[3 + k]
-        edge = max(abs(low), abs(high)) / box[2]
-        far += edge * edge
-        if low > 0.0 or high < 0.0:
-            edge = min(abs(low), abs(high)) / box[5]
-            near += edge * edge
-    seen = slope_max * slope_max
-    return math.sqrt(1.0 + min(near, seen)), math.sqrt(1.0 + min(far, seen))
+def widest_distortion(view, x0, y0, x1, y1):
+    """Upper bound of the distortion factor between these subpixels of the image; view: subpixels.View."""
+    x = max(abs(x0 - view.shift_x), abs(x1 - view.shift_x)) / view.scale_x
+    y = max(abs(y0 - view.shift_y), abs(y1 - view.shift_y)) / view.scale_y
+    return distortion_factor(view.perspective, x, y, 1.0)
 
 
 @uncounted
-def density_bounds(camera: CameraArrays, box, slope_max):
-    """(lower, upper) bound of depth * distortion in pixels per square metre, orientation left out, over a box as above.
-
-    The upper bound holds for every surface in the box, whatever its orientation; the ratio of both is at most
-    (z_max / z_min)^2 times that of the distortion.
-    """
-    p = camera.perspective[0]
-    low, high = distortion_bounds(p, box, slope_max)
-    scale = pixels_per_area(camera)
-    return low * depth_factor(p, box[5]) * scale, high * depth_factor(p, box[2]) * scale
-
-
-@uncounted
-def widest_slope(camera: CameraArrays):
-    """Tangent of the largest angle between a line of sight in the image and the view axis."""
-    x = max(abs(camera.plane[0, 0]), abs(camera.plane[0, 0] + camera.size[0] * camera.plane[1, 0]))
-    y = max(abs(camera.plane[0, 1]), abs(camera.plane[0, 1] + camera.size[1] * camera.plane[1, 1]))
-    return math.sqrt(x * x + y * y)
+def densest(view, near, x0, y0, x1, y1):
+    """Upper bound of the subpixels on a square metre of surface, whatever its orientation, at depths from `near` > 0 on
+    (perspective) and between these subpixels of the image."""
+    depth = depth_factor(view.perspective, near)
+    return depth * widest_distortion(view, x0, y0, x1, y1) * view.scale_x * view.scale_y
 
 
 @uncounted
@@ -112,31 +87,3 @@ def to_raster(camera: CameraArrays, x, y, z):
         x /= z
         y /= z
     return (x - camera.plane[0, 0]) / camera.plane[1, 0], (y - camera.plane[0, 1]) / camera.plane[1, 1]
-
-
-@uncounted
-def box_to_raster(camera: CameraArrays, box, out):
-    """Pixel bounds (lower x, y, upper x, y) of a camera-space box (6,) with z_min > 0; out (4,) float64."""
-    for k in range(2):
-        low, high = box[k], box[3 + k]
-        if camera.perspective[0]:
-            low /= box[2] if low < 0.0 else box[5]
-            high /= box[5] if high < 0.0 else box[2]
-        out[k] = (low - camera.plane[0, k]) / camera.plane[1, k]
-        out[2 + k] = (high - camera.plane[0, k]) / camera.plane[1, k]
-
-
-@uncounted
-def inverse_depth(camera: CameraArrays, z):
-    """A value that is larger the nearer: 1 / z, or for orthographic cameras 1 - (z - start) / (end - start)."""
-    if camera.perspective[0]:
-        return 1.0 / z
-    return 1.0 - (z - camera.clip[0]) / (camera.clip[1] - camera.clip[0])
-
-
-@uncounted
-def depth_of(camera: CameraArrays, inverse):
-    """The z that has this `inverse_depth`."""
-    if camera.perspective[0]:
-        return 1.0 / inverse
-    return camera.clip[0] + (1.0 - inverse) * (camera.clip[1] - camera.clip[0])

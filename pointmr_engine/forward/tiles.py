@@ -70,6 +70,11 @@ class Workspace:
         self.shadow_maps = ShadowMaps(image) if image.shadows else None
         self.shading = None  # what the image's shading keeps for this thread
 
+    def counts(self) -> dict:
+        """Counters of the tiles drawn."""
+        counters = dict(zip(self.scratch.names, self.scratch.counters.tolist(), strict=True))
+        return counters | {"fragments": self.shaded, "closed": self.closed}
+
     def rest(self) -> None:
         """Let go of the image, which is finished, and of what its shading kept."""
         self.image = self.shading = self.shadow_maps = None

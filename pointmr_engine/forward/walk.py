@@ -8,14 +8,22 @@ boxes behind what is drawn already, are left out.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries, box_is_behind, draw_set, open_share, set_constants
+from pointmr_engine.forward.box_heap import (
+    HIDDEN,
+    add_box,
+    allocate_heap,
+    open_part,
+    pop,
+    stretch_of,
+)
+from pointmr_engine.forward.draw import Entries, draw_set, set_constants
 from pointmr_engine.forward.draw_triangles import draw_triangles
-from pointmr_engine.forward.subpixels import Target, View, clear, is_hidden, mark_drawn
+from pointmr_engine.forward.projection import widest_distortion
+from pointmr_engine.forward.subpixels import Target, View, clear, mark_drawn
 from pointmr_engine.forward.surfel_lanes import CONSTANTS, LANE_ROWS
 from pointmr_engine.forward.transforms import (
     allocate_transforms,
@@ -29,10 +37,6 @@ from pointmr_engine.hierarchy.sample_sets import NOT_YET
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
 
-FINE = (
-    2048  # subpixels: bounds up to this size are compared with every depth in them, larger ones with blocks
-)
-COUNTED = 1 << 14  # subpixels: in bounds up to this size it is counted how much of them is open
 HARDLY = (
     1 / 8
 )  # of a box: when no more of it can be seen, samples twice as far apart will do for moving images
@@ -41,21 +45,6 @@ DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
 COUNTERS = (
     "nodes", "outside", "hidden", "sets", "surfels", "triangles", "instances", "waiting", "drawn",
 )  # fmt: skip
-
-
-class Heap(NamedTuple):
-    """Boxes to visit, the nearest at the top; what is known of each lies in a slot that is never used again."""
-
-    key: np.ndarray  # (H,) float32: smallest depth
-    slot: np.ndarray  # (H,) int32
-    node: np.ndarray  # (S,) int32
-    row: np.ndarray  # (S,) int32 of the transforms
-    bounds: np.ndarray  # (S, 4) float32 subpixels in the tile
-
-
-def _heap(n: int) -> Heap:
-    i, f = np.int32, np.float32
-    return Heap(np.empty(n, f), np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty((n, 4), f))
 
 
 class Hierarchy(NamedTuple):
@@ -72,10 +61,12 @@ class Hierarchy(NamedTuple):
 class Scratch:
     """One thread's buffers for walking; they grow as needed."""
 
+    names = COUNTERS
+
     def __init__(self, target: Target):
         self.target = target
         self.entries = Entries(np.empty(1 << 16, np.int64), np.empty(1 << 16, np.int32))
-        self.heap = _heap(1 << 14)
+        self.heap = allocate_heap(1 << 14)
         self.transforms = allocate_transforms(1 << 12)
         self.scale = np.empty(1 << 12)
         self.counters = np.zeros(len(COUNTERS), np.int64)
@@ -91,7 +82,7 @@ class Scratch:
         if status == ENTRIES_FULL:
             self.entries = Entries(*(np.empty(2 * len(a), a.dtype) for a in self.entries))
         elif status == HEAP_FULL:
-            self.heap = _heap(2 * len(self.heap.key))
+            self.heap = allocate_heap(2 * len(self.heap.key))
         else:
             self.transforms = grow_transforms(self.transforms, 0, 2 * len(self.transforms.parent))
             self.scale = np.empty(len(self.transforms.parent))
@@ -136,146 +127,6 @@ def walk(
 
 
 @device
-def _push(heap, size, key, slot):
-    at = size
-    while at > 0:
-        up = (at - 1) >> 1
-        if heap.key[up] <= key:
-            break
-        heap.key[at], heap.slot[at] = heap.key[up], heap.slot[up]
-        at = up
-    heap.key[at], heap.slot[at] = key, slot
-
-
-@device
-def _pop(heap, size):
-    """Take the top away; its values must have been read. size: before."""
-    last = size - 1
-    key, slot = heap.key[last], heap.slot[last]
-    at = np.int64(0)
-    while True:
-        child = 2 * at + 1
-        if child >= last:
-            break
-        if child + 1 < last and heap.key[child + 1] < heap.key[child]:
-            child += 1
-        if heap.key[child] >= key:
-            break
-        heap.key[at], heap.slot[at] = heap.key[child], heap.slot[child]
-        at = child
-    heap.key[at], heap.slot[at] = key, slot
-
-
-@device
-def bound_in_tile(view, box, pad, left, low, width, height, out):
-    """Subpixel bounds (x0, y0, x1, y1) in the tile of a camera-space box, grown by `pad`; False: outside the tile."""
-    x0, y0, z0 = box[0] - pad, box[1] - pad, box[2] - pad
-    x1, y1, z1 = box[3] + pad, box[4] + pad, box[5] + pad
-    if z1 <= view.near or z0 >= view.far:
-        return False
-    if not view.perspective:
-        out[0] = x0 * view.scale_x + view.shift_x - left
-        out[1] = y0 * view.scale_y + view.shift_y - low
-        out[2] = x1 * view.scale_x + view.shift_x - left
-        out[3] = y1 * view.scale_y + view.shift_y - low
-        return out[2] >= 0.0 and out[3] >= 0.0 and out[0] <= width and out[1] <= height
-    if z0 > view.near:
-        near, far = 1.0 / z0, 1.0 / z1
-        out[0] = x0 * (near if x0 < 0.0 else far) * view.scale_x + view.shift_x - left
-        out[1] = y0 * (near if y0 < 0.0 else far) * view.scale_y + view.shift_y - low
-        out[2] = x1 * (near if x1 > 0.0 else far) * view.scale_x + view.shift_x - left
-        out[3] = y1 * (near if y1 > 0.0 else far) * view.scale_y + view.shift_y - low
-        return out[2] >= 0.0 and out[3] >= 0.0 and out[0] <= width and out[1] <= height
-    # it reaches behind the near plane: only the tile's side planes can leave it out
-    z0 = view.near
-    a, b = (left - view.shift_x) / view.scale_x, (left + width - view.shift_x) / view.scale_x
-    c, d = (low - view.shift_y) / view.scale_y, (low + height - view.shift_y) / view.scale_y
-    if x1 < min(a * z0, a * z1) or x0 > max(b * z0, b * z1):
-        return False
-    if y1 < min(c * z0, c * z1) or y0 > max(d * z0, d * z1):
-        return False
-    out[0], out[1], out[2], out[3] = 0.0, 0.0, width, height
-    return True
-
-
-@device
-def _stretch(matrix, row):
-    """The largest length of the matrix's columns: how much it stretches, within a factor of sqrt(3)."""
-    most = 0.0
-    for c in range(3):
-        a, b, d = matrix[row, c], matrix[row, 4 + c], matrix[row, 8 + c]
-        most = max(most, a * a + b * b + d * d)
-    return math.sqrt(most)
-
-
-@device
-def _is_hidden(view, target, width, height, x0, y0, x1, y1, front):
-    """Whether something nearer than depth `front` is drawn everywhere between these subpixels of the tile."""
-    w = view.depth_shift - front * view.depth_scale
-    if view.perspective:
-        if front <= view.near:
-            return False
-        w = 1.0 / front
-    if (x1 - x0) * (y1 - y0) < FINE:
-        f = np.float32
-        return box_is_behind(target, f(width), f(height), f(x0), f(y0), f(x1), f(y1), f(w))
-    return is_hidden(target, width, height, x0, y0, x1, y1, w)
-
-
-@device
-def _open_share(view, target, width, height, x0, y0, x1, y1, front, most):
-    """Share of these subpixels in which something at depth `front` could be seen; 1 where it is more than `most`."""
-    if (x1 - x0) * (y1 - y0) > COUNTED:
-        hidden = _is_hidden(view, target, width, height, x0, y0, x1, y1, front)
-        return np.float32(0) if hidden else np.float32(1)
-    w = view.depth_shift - front * view.depth_scale
-    if view.perspective:
-        if front <= view.near:
-            return np.float32(1)
-        w = 1.0 / front
-    f = np.float32
-    return open_share(target, f(width), f(height), f(x0), f(y0), f(x1), f(y1), f(w), most)
-
-
-@device
-def _add(view, hierarchy, heap, sizes, transforms, node, row, pad, box, bounds, left, low, width, height, counters,
-         target, culling):  # fmt: skip
-    """Put a node on the heap if it can be seen. sizes: of the heap, and slots used; False: no room."""
-    box_to_camera(transforms.matrix, row, hierarchy.octree.box, node, box)
-    counters[0] += 1
-    if not bound_in_tile(view, box, pad, left, low, width, height, bounds):
-        counters[1] += 1
-        return True
-    if culling and _is_hidden(
-        view, target, width, height, bounds[0], bounds[1], bounds[2], bounds[3], box[2] - pad
-    ):
-        counters[2] += 1
-        return True
-    slot = sizes[1]
-    if slot >= len(heap.key):
-        return False
-    heap.node[slot] = node
-    heap.row[slot] = row
-    for k in range(4):
-        heap.bounds[slot, k] = bounds[k]
-    _push(heap, sizes[0], np.float32(box[2]), np.int32(slot))
-    sizes[0] += 1
-    sizes[1] += 1
-    return True
-
-
-@device
-def _distortion(view, x0, y0, x1, y1):
-    """How much longer lengths become away from the view axis, at most, between these subpixels (talk: distortion
-    factor)."""
-    if not view.perspective:
-        return 1.0
-    x = max(abs(x0 - view.shift_x), abs(x1 - view.shift_x)) / view.scale_x
-    y = max(abs(y0 - view.shift_y), abs(y1 - view.shift_y)) / view.scale_y
-    return math.sqrt(1.0 + x * x + y * y)
-
-
-@device
 def _entrance(octree, matrix, row, factor, group, view, box):
     """The node at which the walk enters a group: its root, or as far down the levels above its cell as will be needed.
 
@@ -305,16 +156,16 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
     sizes = used[2:4]
     focal = max(view.scale_x, view.scale_y)
     compose_root(transforms, camera_from_world, octree, root, np.int64(0))
-    scale[0] = _stretch(transforms.matrix, np.int64(0))
+    scale[0] = stretch_of(transforms.matrix, np.int64(0))
     rows = np.int64(1)
     count = np.int64(0)
     unculled = culling and count > 0  # a bool like `culling`, not a literal, which would compile _add twice
     top = np.int64(octree.group_root[root])
-    _add(view, hierarchy, heap, sizes, transforms, top, np.int64(0), octree.side[top] * SPACING * scale[0],
+    add_box(view, octree, heap, sizes, transforms, top, np.int64(0), octree.side[top] * SPACING * scale[0],
          box, bounds, left, low, width, height, counters, target, unculled)  # fmt: skip
     while sizes[0] > 0:
         near, slot = np.float64(heap.key[0]), np.int64(heap.slot[0])
-        _pop(heap, sizes[0])
+        pop(heap, sizes[0])
         sizes[0] -= 1
         node, row = np.int64(heap.node[slot]), np.int64(heap.row[slot])
         x0, y0 = np.float64(heap.bounds[slot, 0]), np.float64(heap.bounds[slot, 1])
@@ -322,14 +173,14 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
         apart = octree.side[node] * SPACING * scale[row]
         enough = spacing
         if culling and count > 0:
-            share = _open_share(view, target, width, height, x0, y0, x1, y1, near - apart, hardly)
+            share = open_part(view, target, width, height, x0, y0, x1, y1, near - apart, hardly)
             if share == 0.0:
-                counters[2] += 1
+                counters[HIDDEN] += 1
                 continue
             if share <= hardly:
                 enough *= 2.0
         own, large, own_end = octree.items[node, 0], octree.items[node, 1], octree.items[node, 2]
-        projected = apart * focal * _distortion(view, left + x0, low + y0, left + x1, low + y1)
+        projected = apart * focal * widest_distortion(view, left + x0, low + y0, left + x1, low + y1)
         dense = projected <= enough
         if view.perspective:
             dense = near > 0.0 and projected <= enough * near
@@ -366,7 +217,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
         else:
             drawn = own_end
             for c in range(octree.child[node, 0], octree.child[node, 0] + octree.child[node, 1]):
-                if not _add(view, hierarchy, heap, sizes, transforms, np.int64(c), row, 0.5 * apart, box, bounds,
+                if not add_box(view, octree, heap, sizes, transforms, np.int64(c), row, 0.5 * apart, box, bounds,
                             left, low, width, height, counters, target, unculled):  # fmt: skip
                     return HEAP_FULL
         i, ready = np.int64(own), dense and first >= 0
@@ -377,12 +228,12 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                     return TRANSFORMS_FULL
                 group = compose(transforms, row, octree, hierarchy.instances, -1 - part, which, rows)
                 counters[6] += 1
-                scale[rows] = _stretch(transforms.matrix, rows)
+                scale[rows] = stretch_of(transforms.matrix, rows)
                 slots = sizes[1]
                 start = _entrance(
                     octree, transforms.matrix, rows, scale[rows] * focal / spacing, group, view, box
                 )
-                if not _add(view, hierarchy, heap, sizes, transforms, start, rows,
+                if not add_box(view, octree, heap, sizes, transforms, start, rows,
                             octree.side[start] * SPACING * scale[rows], box, bounds, left, low, width, height,
                             counters, target, culling):  # fmt: skip
                     return HEAP_FULL

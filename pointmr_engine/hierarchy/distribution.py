@@ -23,6 +23,7 @@ _EXHAUSTED = (
     2.0**-24
 )  # of a random number's range: what is left when an item is chosen this narrow is drawn anew
 _QUARTERINGS = 3  # of a triangle: finer than the distance of its points, of which it has a few at most
+_NEAR = 6  # items that are looked at one by one
 _BELOW_ONE = 1.0 - 2.0**-53
 _INV_2_53 = 2.0**-53
 _INV_2_32 = 2.0**-32
@@ -152,6 +153,10 @@ def find_item(sums, shift, first, end, start, x):
     """The item i in first..end whose interval of sums holds x; quick if it is not far after `start`."""
     if start < first or start >= end or sums[start + shift] > x:
         start = first
+    for _ in range(_NEAR):  # neighbouring draws: no search whose outcome nobody can predict
+        if start + 1 >= end or sums[start + 1 + shift] > x:
+            break
+        start += 1
     step = np.int64(1)
     while start + step < end and sums[start + step + shift] <= x:
         start += step

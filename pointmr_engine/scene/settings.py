@@ -22,7 +22,7 @@ PASSES = (
 )
 
 SAMPLINGS = ("static", "dynamic")
-DRAWS = ("random", "stratified", "poisson")
+DRAWS = ("random", "stratified")
 STRATEGIES = ("random", "jittered_grid", "quantised_grid", "neighbourhood")
 RECONSTRUCTIONS = ("pixel", "gaussian", "subpixel", "analytic")
 SHADINGS = ("simple", "full")

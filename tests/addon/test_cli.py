@@ -219,7 +219,7 @@ def test_options_of_forward_mapping_reach_the_engine(blend, tmp_path, asked):
         "--forward-samples-per-pixel",
         "0.05",
         "--forward-draws",
-        "poisson",
+        "random",
     ]
     typed += ["--forward-epsilon", "0.25", "--forward-failure", "0.0001", "--forward-strategy", "random"]
     typed += [
@@ -238,11 +238,11 @@ def test_options_of_forward_mapping_reach_the_engine(blend, tmp_path, asked):
     forward = asked[0].forward
     assert asked[0].method == "forward" and forward.cache_folder
     expected = ForwardSettings(
-        "dynamic", 0.05, 0.25, 1e-4, "poisson", "random", "gaussian", 8, "simple", False, True, False
+        "dynamic", 0.05, 0.25, 1e-4, "random", "random", "gaussian", 8, "simple", False, True, False
     )
     assert astuple(forward)[:-1] == pytest.approx(astuple(expected)[:-1])
     [frame] = json.loads(stats.read_text())["frames"]
-    assert frame["stats"]["settings"]["forward"]["draws"] == "poisson"
+    assert frame["stats"]["settings"]["forward"]["draws"] == "random"
     assert frame["stats"]["counters"] == {"points": 12345}
     assert set(FORWARD) == {n for n in bpy.context.scene.pointmr.bl_rna.properties.keys() if "forward_" in n}
     assert main([*start, "--samples", "4"]) == 0

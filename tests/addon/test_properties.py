@@ -51,7 +51,7 @@ def test_enum_items_have_fixed_numbers():
     assert numbers("raytrace_visibility") == {"MASKS": 0, "ALPHA": 1}
     assert numbers("pixel_filter_type") == {"BOX": 0, "GAUSSIAN": 1, "BLACKMAN_HARRIS": 2}
     assert numbers("forward_sampling") == {"STATIC": 0, "DYNAMIC": 1}
-    assert numbers("forward_draws") == {"RANDOM": 0, "STRATIFIED": 1, "POISSON": 2}
+    assert numbers("forward_draws") == {"RANDOM": 0, "STRATIFIED": 1}
     assert numbers("forward_reconstruction") == {"PIXEL": 0, "GAUSSIAN": 1, "SUBPIXEL": 2, "ANALYTIC": 3}
     assert numbers("forward_subpixels") == {"2": 2, "4": 4, "8": 8}
     assert numbers("forward_shading") == {"SIMPLE": 0, "FULL": 1}
@@ -112,7 +112,7 @@ def test_every_property_reaches_the_engine(name, value, target, expected):
         ("samples_per_pixel", 0.25, 0.25),
         ("epsilon", 0.75, 0.75),
         ("failure", 0.125, 0.125),
-        ("draws", "POISSON", "poisson"),
+        ("draws", "RANDOM", "random"),
         ("strategy", "QUANTISED_GRID", "quantised_grid"),
         ("reconstruction", "ANALYTIC", "analytic"),
         ("subpixels", "8", 8),

@@ -8,23 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from instanced import nest, random_mesh, random_transforms, sphere
 
-from pointmr_engine.forward.dynamic import PointSet, draw_image, make_view, select_boxes
-from pointmr_engine.forward.point_image import (
-    depth_image,
-    holes,
-    interpolate_gaussian,
-    interpolate_nearest,
-    nearest_points,
-    visible_points,
-    window,
-)
-from pointmr_engine.forward.projection import inverse_depth, to_raster
+from pointmr_engine.forward.cut_outs import no_cut_outs
+from pointmr_engine.forward.dynamic import PointScratch, sample_tile
+from pointmr_engine.forward.holes import holes
+from pointmr_engine.forward.point_draws import Draws, World
+from pointmr_engine.forward.projection import to_raster
+from pointmr_engine.forward.subpixels import allocate_target, clear, make_view
 from pointmr_engine.hierarchy.acceleration import build_acceleration
 from pointmr_engine.hierarchy.distribution import build_distribution, draw_points
 from pointmr_engine.hierarchy.dynamic_octree import DynamicOctree
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.hierarchy.nesting import area_scale
-from pointmr_engine.hierarchy.octree import build_octree
+from pointmr_engine.hierarchy.octree import build_octree, triangle_corners
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.camera import camera_ray, compile_camera
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
@@ -245,200 +240,218 @@ def ball_field(rng, n=60, rings=40):
     return Group("root", [], [Instances((pair, leaf), m, rng.integers(0, 2, n).astype(np.int32))])
 
 
-def view_of(
-    kind="PERSPECTIVE", distance=25.0, size=(64, 48), ppp=8.0, kept=np.inf, culling=False, clip=0.1, **values
-):
-    world = np.eye(4)
-    world[2, 3] = distance
-    camera = compile_camera(
-        Camera(world, kind, focal_length=40.0, ortho_scale=16.0, clip_start=clip, **values),
-        RenderSettings(width=size[0], height=size[1], method="forward"),
-    )
-    return make_view(camera, ppp, 0.5, kept, culling)
+class Drawn:
+    """The whole image of a scene as one tile, in pixels: of each the nearest point or triangle."""
+
+    def __init__(self, root, draws="stratified", seed=5, culling=True, ppp=8.0, subpixels=1, kind="PERSPECTIVE",
+                 distance=25.0, size=(64, 48), clip=0.1, **how):  # fmt: skip
+        world = np.eye(4)
+        world[2, 3] = distance
+        self.camera = compile_camera(
+            Camera(world, kind, focal_length=40.0, ortho_scale=16.0, clip_start=clip),
+            RenderSettings(width=size[0], height=size[1], method="forward"),
+        )
+        self.geometry, self.octree, distribution = compiled(root)
+        self.view = make_view(self.camera, subpixels, (distance - 12.0, distance + 12.0))
+        width, height = size[0] * subpixels, size[1] * subpixels
+        target = allocate_target(width, height)
+        clear(target, width)
+        self.scratch = PointScratch(target, self.geometry.depth)
+        values = {
+            "density": ppp / subpixels**2, "ratio": 1.5, "kept": np.inf, "wide": 5.0 * subpixels,
+            "tiny": 0.5 * subpixels, "most": ppp, "radius": 0.0, "cells": 1.0 / subpixels,
+            "stratified": draws == "stratified", "backface_culling": False,
+        } | how  # fmt: skip
+        tables = self.geometry.tables
+        self.world = World(
+            self.octree.arrays, distribution, triangle_corners(self.octree), tables, self.geometry.instances,
+            no_cut_outs(len(self.geometry.parts)),
+        )  # fmt: skip
+        self.count = sample_tile(
+            self.view, self.world, self.camera.camera_from_world, Draws(**values), seed, (0, 0, width, height),
+            self.scratch, culling, subpixels,
+        )  # fmt: skip
+        self.depth, self.ids = target.depth[:height, :width].copy(), target.ids[:height, :width].copy()
+        self.counters = dict(zip(self.scratch.names, self.scratch.counters.tolist(), strict=True))
+
+    def shown(self):
+        """(y, x, item, row) of the pixels that show something."""
+        y, x = np.nonzero(self.ids >= 0)
+        entry = self.ids[y, x]
+        entries = self.scratch.entries
+        return y, x, (-1 - entries.surfel[entry]) >> 1, entries.row[entry]
+
+    def corners(self, items, rows):
+        """(N, 3, 3) camera space."""
+        m = self.scratch.transforms.matrix[rows].reshape(-1, 3, 4)
+        p = self.world.corners[items].reshape(-1, 3, 3).astype(float)
+        return np.einsum("nrc,nvc->nvr", m[:, :, :3], p) + m[:, None, :, 3]
+
+    def z(self):
+        """(H, W) z, infinite where there is nothing."""
+        view = self.view
+        with np.errstate(all="ignore"):
+            z = 1.0 / self.depth if view.perspective else (view.depth_shift - self.depth) / view.depth_scale
+        return np.where(self.depth > 0, z, np.inf)
 
 
-def cast_at(acceleration, view, x, y):
-    """Inverse depths (N,) that rays through image positions find; 0: nothing."""
-    camera = view.camera
+def cast_z(drawn, across=4):
+    """(H, W, across^2) z of what rays through places in each pixel hit."""
+    camera = drawn.camera
+    height, width = drawn.depth.shape
+    step = np.linspace(1e-3, 1 - 1e-3, across)
+    y, x, v, u = np.meshgrid(np.arange(height), np.arange(width), step, step, indexing="ij")
+    x, y = (x + u).ravel(), (y + v).ravel()
     rays, hits = allocate_rays(len(x)), allocate_hits(len(x))
-    width, spread = np.empty(len(x), np.float32), np.empty(len(x), np.float32)
+    wide, spread = np.empty(len(x), np.float32), np.empty(len(x), np.float32)
     for k in range(len(x)):
-        camera_ray(camera, float(x[k]), float(y[k]), 0.5, 0.5, rays, k, width, spread)
-    walk.intersect(acceleration, rays, hits)
+        camera_ray(camera, float(x[k]), float(y[k]), 0.5, 0.5, rays, k, wide, spread)
+    walk.intersect(build_acceleration(drawn.geometry), rays, hits)
     position = rays.origin + rays.direction * np.where(np.isfinite(hits.t), hits.t, 1.0)[:, None]
     z = position @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    return np.where(np.isfinite(hits.t), [inverse_depth(camera, d) for d in z], 0.0)
+    return np.where(np.isfinite(hits.t), z, np.inf).reshape(height, width, -1)
 
 
-def position_of(geometry, octree, points, transforms):
-    """Camera-space positions (N, 3) from what the points say of themselves, and the chain of their transforms."""
-    a = octree.arrays
-    out = np.empty((len(points.x), 3))
-    for k in range(len(points.x)):
-        part, row = points.part[k], points.transform[k]
-        shape = geometry.shapes[geometry.tables.shape[part]]
-        p = shape.positions[shape.triangles[points.triangle[k]]].astype(float)
-        w = np.array([1.0 - points.u[k] - points.v[k], points.u[k], points.v[k]])
-        m = transforms.matrix[row].reshape(3, 4)
-        out[k] = m[:, :3] @ (w @ p + a.part_offset[part] - a.group_center[transforms.group[row]]) + m[:, 3]
-    return out
-
-
-@pytest.mark.parametrize("draws", ["random", "stratified", "poisson"])
+@pytest.mark.parametrize("draws", ["random", "stratified"])
 @pytest.mark.parametrize("kind", ["PERSPECTIVE", "ORTHOGRAPHIC"])
-def test_points_lie_on_the_surface_that_a_ray_sees_there(kind, draws):
-    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3)))
-    view = view_of(kind)
-    selection = select_boxes(octree, distribution, view)
-    points, transforms, statistics = draw_image(octree, distribution, selection, draws, 5)
-    assert statistics.triangles == 0 and len(points.x) > 500
-    assert (transforms.parent < np.arange(len(transforms.parent))).all()
-    camera = view.camera
-    p = position_of(geometry, octree, points, transforms)
-    raster = np.array([to_raster(camera, *q) for q in p])
-    assert np.abs(raster - np.column_stack([points.x, points.y])).max() < 1e-3
-    assert points.inverse_depth == pytest.approx(np.array([inverse_depth(camera, q[2]) for q in p]), rel=1e-5)
+def test_points_lie_on_the_surface_that_rays_see_there(kind, draws):
+    drawn = Drawn(ball_field(np.random.default_rng(3)), draws, kind=kind)
+    y, x, items, rows = drawn.shown()
+    assert drawn.counters["triangles"] == 0 and len(y) > 500
+    transforms = drawn.scratch.transforms
+    parent = transforms.parent[: drawn.scratch.used[1]]
+    assert (parent < np.arange(len(parent))).all()
+    # the triangle that a pixel names lies there
+    corners, camera = drawn.corners(items, rows), drawn.camera
+    raster = np.array([[to_raster(camera, *q) for q in p] for p in corners])
+    assert (raster.min(1) < np.stack([x, y], 1) + 1 + 1e-3).all()
+    assert (raster.max(1) > np.stack([x, y], 1) - 1e-3).all()
+    z = drawn.z()[y, x]
+    assert (z > corners[:, :, 2].min(1) - 1e-4 * z).all() and (z < corners[:, :, 2].max(1) + 1e-4 * z).all()
     # never in front of the surface; mostly on it (the rest is at silhouettes, where a nearer one missed the pixel)
-    seen = cast_at(build_acceleration(geometry), view, points.x, points.y)
-    assert (points.inverse_depth <= seen * (1 + 1e-4) + 1e-6).mean() > 0.995
-    assert (points.inverse_depth >= seen * (1 - 1e-3) - 1e-6).mean() > 0.9
+    seen = cast_z(drawn)[y, x]
+    assert (z > seen.min(1) * (1 - 0.02)).mean() > 0.97
+    assert (z < np.where(np.isfinite(seen), seen, 0.0).max(1) * (1 + 0.02)).mean() > 0.9
 
 
-def same(a, b):
-    return all((x == y).all() for x, y in zip(a, b, strict=True))
+@pytest.mark.parametrize("draws", ["random", "stratified"])
+def test_culling_changes_nothing_but_the_work(draws):
+    root = ball_field(np.random.default_rng(3), 200)
+    all_of_it, culled = (Drawn(root, draws, culling=culling, ppp=12.0) for culling in (False, True))
+    np.testing.assert_array_equal(culled.depth, all_of_it.depth)
+    assert culled.counters["points_drawn"] < all_of_it.counters["points_drawn"]
+    assert culled.counters["hidden"] > 0 and all_of_it.counters["hidden"] == 0
+    other = Drawn(root, draws, seed=6, ppp=12.0)
+    assert (other.depth != culled.depth).any()
 
 
-@pytest.mark.parametrize("draws", ["random", "stratified", "poisson"])
-def test_neither_threads_nor_culling_change_a_point(draws):
-    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
-    view = view_of(ppp=12.0)
-    selection = select_boxes(octree, distribution, view)
-    reference = draw_image(octree, distribution, selection, draws, 5, False, threads=1)
-    for threads, culling in ((1, True), (2, True), (3, False)):
-        points, transforms, statistics = draw_image(
-            octree, distribution, selection, draws, 5, culling, threads=threads
+@pytest.mark.parametrize("draws", ["random", "stratified"])
+def test_tiles_see_the_same_points(draws):
+    """Cells that are drawn in two parts are those of the whole, whatever the tiles are."""
+    root = ball_field(np.random.default_rng(3))
+    whole = Drawn(root, draws)
+    for x0, x1 in ((0, 24), (24, 64)):
+        target = allocate_target(x1 - x0, 48)
+        clear(target, x1 - x0)
+        scratch = PointScratch(target, whole.geometry.depth)
+        how = Draws(8.0, 1.5, np.inf, 5.0, 0.5, 8.0, 0.0, 1.0, draws == "stratified", False)
+        sample_tile(
+            whole.view, whole.world, whole.camera.camera_from_world, how, 5, (x0, 0, x1, 48), scratch, True, 1
         )
-        assert same(points, reference[0]) and same(transforms, reference[1])
-        assert (nearest_points(points, view.region) >= 0).sum() == len(points.x)  # one in each pixel, still
-        assert not culling or statistics.drawn < reference[2].drawn
-    other, _, _ = draw_image(octree, distribution, selection, draws, 6)
-    assert len(other.x) != len(reference[0].x) or not same(other, reference[0])
+        part = target.depth[:48, : x1 - x0]
+        # densities are bounded by how far a tile reaches from the axis, so some boxes have a point more or less
+        assert (part == whole.depth[:, x0:x1]).mean() > 0.6
 
 
-def test_the_number_of_points_is_what_was_expected():
-    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
-    selection = select_boxes(octree, distribution, view_of())
-    expected = selection.boxes.area.sum() * 8.0
-    drawn = {
-        draws: draw_image(octree, distribution, selection, draws, 1, False)[2].drawn
-        for draws in ("random", "stratified", "poisson")
-    }
-    assert drawn["random"] == math.ceil(expected)
-    assert drawn["stratified"] == pytest.approx(expected, abs=1)
-    assert drawn["poisson"] == pytest.approx(expected, abs=6 * math.sqrt(expected))
+@pytest.mark.parametrize("draws", ["random", "stratified"])
+def test_the_number_of_points_is_that_of_the_area(draws):
+    """A wall of many triangles, seen face on by an orthographic camera: nothing is bounded, all is exact."""
+    n = 200
+    x, y = np.meshgrid(np.linspace(-7, 7, n + 1), np.linspace(-5, 5, n + 1))
+    k = np.arange(n * n)
+    a = k // n * (n + 1) + k % n
+    faces = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
+    p = np.stack([x, y, 0 * x], -1).reshape(-1, 3).astype(np.float32)
+    drawn = Drawn(Group("root", [Mesh("wall", p, faces.astype(np.int32))]), draws, kind="ORTHOGRAPHIC")
+    expected = 14 * 10 * (64 / 16) ** 2 * 8.0
+    spread = {"random": 6 * math.sqrt(expected), "stratified": 3 * math.sqrt(drawn.counters["boxes"])}
+    assert drawn.counters["points_drawn"] == pytest.approx(expected, abs=spread[draws])
+    # and each box's own: a Poisson distribution's variance is its mean, stratified draws have hardly any
+    cells = np.zeros(100)
+    for seed in range(100):
+        cells[seed] = Drawn(
+            Group("root", [Mesh("wall", p, faces.astype(np.int32))]), draws, seed, kind="ORTHOGRAPHIC"
+        ).counters["points_drawn"]
+    if draws == "random":
+        assert 0.6 < cells.var() / expected < 1.6
+    else:
+        assert cells.var() < 0.3 * expected
+    assert abs(cells.mean() - expected) < 5 * math.sqrt(max(cells.var(), 1.0) / 100)
 
 
-def test_large_and_near_triangles_are_kept():
-    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
-    view = view_of(distance=8.0, kept=3.0, clip=7.0)
-    selection = select_boxes(octree, distribution, view)
-    triangles, transforms = selection.triangles, selection.transforms
-    assert 0 < len(triangles.part) and 0 < len(selection.boxes.row)
-    listed = set(zip(triangles.transform.tolist(), triangles.triangle.tolist(), strict=True))
-    assert len(listed) == len(triangles.part)
-    a = octree.arrays
-    m = transforms.matrix.reshape(-1, 3, 4)
-    nearest = []
-    for part, triangle, row in zip(*triangles, strict=True):
-        shape = geometry.shapes[geometry.tables.shape[part]]
-        p = shape.positions[shape.triangles[triangle]] + a.part_offset[part]
-        q = (p - a.group_center[transforms.group[row]]) @ m[row, :, :3].T + m[row, :, 3]
-        nearest.append(q[:, 2].min())
-    assert min(nearest) < 7.0  # triangles through the near plane are here, too
-    # none is sampled as well
-    boxes = selection.boxes
-    single = boxes.interval[:, 1] - boxes.interval[:, 0] == 1
-    items = a.item[boxes.interval[single, 0]]
-    assert not listed & set(zip(boxes.row[single].tolist(), items[:, 1].tolist(), strict=True))
+def test_large_and_near_triangles_are_drawn_as_they_are():
+    root = ball_field(np.random.default_rng(3), 200)
+    drawn = Drawn(root, distance=8.0, clip=7.0, kept=1.0, subpixels=4, radius=1.0)
+    assert drawn.counters["triangles"] > 0 and drawn.counters["points"] > 0
+    y, x, items, rows = drawn.shown()
+    corners = drawn.corners(items, rows)
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    point = drawn.scratch.entries.surfel[drawn.ids[y, x]] & 1 == 0
+    assert point.any()
+    # what crosses the near plane is never left to points, and no point stands for what expects more than one
+    focal = drawn.view.scale_x * drawn.view.scale_y / 16
+    points = point & (corners[:, :, 2].max(1) > 7.2)
+    assert (corners[:, :, 2].min(1) < 7.0).any()
+    expects = area * focal / np.maximum(corners[:, :, 2].min(1), 7.0) ** 2 * 8.0
+    assert (
+        expects[points] < 1.2
+    ).mean() > 0.5  # triangles that look small are drawn as lumps, whose mark is the same
+    z = drawn.z()[y, x]
+    seen = cast_z(Drawn(root, distance=8.0, clip=7.0), 2).min(2)[y // 4, x // 4]
+    assert (np.abs(z - seen) < 0.1 * z).mean() > 0.8
 
 
 def test_backface_culling_leaves_the_backs_of_mirrored_balls_out():
-    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 40))
-    everything, _, _ = draw_image(
-        octree, distribution, select_boxes(octree, distribution, view_of(ppp=30.0)), "stratified", 1
-    )
-    view = view_of(ppp=30.0, culling=True)
-    points, transforms, _ = draw_image(
-        octree, distribution, select_boxes(octree, distribution, view), "stratified", 1
-    )
-    assert 0.95 * len(everything.x) < len(points.x) <= 1.02 * len(everything.x)
-    m = transforms.matrix.reshape(-1, 3, 4)
-    for part, triangle, row in zip(points.part, points.triangle, points.transform, strict=True):
-        shape = geometry.shapes[geometry.tables.shape[part]]
-        p = shape.positions[shape.triangles[triangle]].astype(float)
-        center = p.mean(0)  # outwards, in a ball about its origin
-        normal = np.linalg.inv(m[row, :, :3]).T @ center
-        q = m[row, :, :3] @ (p.mean(0) + octree.arrays.part_offset[part]) + m[row, :, 3]
-        q -= m[row, :, :3] @ octree.arrays.group_center[transforms.group[row]]
-        assert normal @ q / np.linalg.norm(normal) / np.linalg.norm(q) < 0.1
-
-
-def test_what_lies_behind_given_depths_is_not_drawn():
-    geometry, octree, distribution = compiled(ball_field(np.random.default_rng(3), 200))
-    selection = select_boxes(octree, distribution, view_of(ppp=12.0))
-    free, _, _ = draw_image(octree, distribution, selection, "stratified", 5)
-    depth = np.zeros((48, 64), np.float32)
-    depth[:, :32] = 1 / 24.0
-    points, _, _ = draw_image(octree, distribution, selection, "stratified", 5, depth=depth)
-    left = points.x < 32
-    assert (points.inverse_depth[left] > np.float32(1 / 24.0)).all()
-    assert left.sum() < (free.x < 32).sum() and (~left).sum() == (free.x >= 32).sum()
+    root = ball_field(np.random.default_rng(3), 40)
+    for kept in (np.inf, 1.0):
+        everything = Drawn(root, ppp=30.0, kept=kept)
+        drawn = Drawn(root, ppp=30.0, kept=kept, backface_culling=True)
+        there, still = everything.depth > 0, drawn.depth > 0
+        assert still.sum() > 0.98 * there.sum() and not (still & ~there).any()
+        assert drawn.counters["points"] < everything.counters["points"]
+        _, _, items, rows = drawn.shown()
+        m = drawn.scratch.transforms.matrix[rows].reshape(-1, 3, 4)
+        center = drawn.world.corners[items].reshape(-1, 3, 3).astype(float).mean(1)
+        # outwards, in a ball about its origin
+        normal = np.einsum("ncr,nc->nr", np.linalg.inv(m[:, :, :3]), center)
+        q = np.einsum("nrc,nc->nr", m[:, :, :3], center) + m[:, :, 3]
+        cosine = (normal * q).sum(1) / np.linalg.norm(normal, axis=1) / np.linalg.norm(q, axis=1)
+        assert (cosine < 0.1).all()
 
 
 def test_an_empty_scene_has_no_points():
-    geometry, octree, distribution = compiled(Group("nothing", []))
-    points, transforms, _ = draw_image(
-        octree, distribution, select_boxes(octree, distribution, view_of()), "random", 1
-    )
-    assert len(points.x) == 0 and len(transforms.record) == 0
-
-
-def test_images_of_points():
-    """A near plane of less than a point a pixel hides a far one."""
-    rng = np.random.default_rng(2)
-    camera = view_of().camera
-    n, region = 1800, (0, 0, 64, 48)
-    x, y = rng.random((2, 2 * n)).astype(np.float32) * np.array([[64], [48]], np.float32)
-    near = np.arange(2 * n) < n
-    z = np.where(near, 10.0, 20.0)
-    blank = np.zeros(2 * n, np.int32)
-    points = PointSet(x, y, (1 / z).astype(np.float32), blank, blank, x, y, blank)
-    nearest = nearest_points(points, region)
-    cell = np.floor(y).astype(int) * 64 + np.floor(x).astype(int)
-    for k in range(64 * 48):
-        here = np.flatnonzero(cell == k)
-        want = -1 if not len(here) else here[np.argmin(z[here])]
-        assert nearest.flat[k] == want
-    depth = depth_image(points, nearest)
-    side = window(n / (64 * 48))
-    assert side == 5
-    keep = visible_points(points, depth, region, camera, side)
-    assert keep[near].all() and keep[~near].mean() < 0.01
-    color = np.column_stack([near, x / 64]).astype(np.float32)
-    image = interpolate_nearest(nearest, keep, color)
-    assert image[nearest >= 0][:, 0].mean() < 0.99  # points behind were the nearest in some pixels: dropped
-    smooth, weight = interpolate_gaussian(points, keep, color, region)
-    covered = weight > 0.2
-    assert covered.mean() > 0.7 and smooth[covered][:, 0].min() > 0.99
-    centers = (np.arange(64) + 0.5) / 64
-    assert np.abs(smooth[:, :, 1] - centers)[covered].max() < 1.5 / 64
+    drawn = Drawn(Group("nothing", []))
+    assert drawn.count == 0 and not drawn.depth.any()
 
 
 def test_holes_are_found_but_not_beyond_silhouettes():
-    camera = view_of().camera
+    world = np.eye(4)
+    world[2, 3] = 25.0
+    camera = compile_camera(
+        Camera(world, focal_length=40.0), RenderSettings(width=64, height=48, method="forward")
+    )
     depth = np.full((20, 30), 1 / 30, np.float32)
     depth[4:16, 5:20] = 1 / 20  # a square in front
-    assert not holes(depth, camera).any()
-    depth[8, 10], depth[12, 12] = 0.0, 1 / 30  # nothing; something behind
-    depth[17, 25] = 0.0
-    assert set(zip(*np.nonzero(holes(depth, camera)), strict=True)) == {(8, 10), (12, 12), (17, 25)}
+    for subpixels in (1, 4):
+        view = make_view(camera, subpixels, (1.0, 40.0))
+        assert not holes(depth, view, subpixels).any()
+        gaps = depth.copy()
+        gaps[8, 10], gaps[12, 12] = 0.0, 1 / 30  # nothing; something behind
+        gaps[17, 25] = 0.0
+        assert set(zip(*np.nonzero(holes(gaps, view, subpixels)), strict=True)) == {
+            (8, 10),
+            (12, 12),
+            (17, 25),
+        }

@@ -55,7 +55,7 @@ def balls():
 @pytest.mark.parametrize("reconstruction", list(BOUNDS))
 def test_every_combination_is_near_many_rays(balls, sampling, reconstruction):
     scene, cache, truth = balls
-    for shading, draws in itertools.product(("simple", "full"), ("stratified", "random", "poisson")):
+    for shading, draws in itertools.product(("simple", "full"), ("stratified", "random")):
         drawn = sampling == "dynamic" and reconstruction != "analytic"
         if draws != "stratified" and (shading == "full" or not drawn):
             continue
@@ -127,7 +127,7 @@ def test_cancelling_while_points_or_polygons_are_made(how):
         return calls[0] > 3
 
     with pytest.raises(Cancelled):
-        render(few_balls(), replace(SIZE, forward=ForwardSettings(**how)), progress)
+        render(few_balls(), replace(SIZE, width=400, height=300, forward=ForwardSettings(**how)), progress)
 
 
 def test_missing_pixels_are_sampled_again(monkeypatch):
@@ -147,13 +147,29 @@ def test_missing_pixels_are_sampled_again(monkeypatch):
     for again in (0, 2):
         monkeypatch.setattr(points_method, "AGAIN", again)
         frame = picture(
-            scene, sampling="dynamic", reconstruction="pixel", draws="random", samples_per_pixel=0.4, failure=0.999,
+            scene, sampling="dynamic", reconstruction="pixel", draws="random", samples_per_pixel=0.2, failure=0.999,
             shading="simple",
         )  # fmt: skip
         found.append((frame.passes["combined"][..., 0].mean(), frame.stats["counters"]))
     assert found[1][1]["holes"] > 0 and found[1][1]["drawn_again"] > 0
     assert found[0][0] > 0
     assert found[1][0] < 0.5 * found[0][0]
+
+
+def test_gaps_of_the_scene_are_not_sampled_again():
+    """Strips with gaps of a pixel or two: at the density that failure asks for they can be nothing else."""
+    n = 300
+    x, y = np.meshgrid(np.linspace(-4, 4, n + 1), np.linspace(-4, 4, n + 1))
+    k = np.arange(n * n)
+    k = k[(k // n) % 12 < 8]
+    a = k // n * (n + 1) + k % n
+    faces = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
+    strips = Mesh(
+        "strips", np.stack([x, y, 0 * x], -1).reshape(-1, 3).astype(np.float32), faces.astype(np.int32)
+    )
+    scene = Scene(Group("root", [strips]), from_above(4.0), [], BLACK)
+    counters = picture(scene, sampling="dynamic", reconstruction="pixel", shading="simple").stats["counters"]
+    assert counters["holes"] > 300 and counters["drawn_again"] == 0
 
 
 @pytest.mark.parametrize("rings", [8, 120], ids=["rasterised", "points"])
@@ -271,7 +287,7 @@ def test_what_is_behind_the_camera_or_crosses_its_plane():
 def test_what_is_not_simple_enough_is_named(monkeypatch):
     how = {"reconstruction": "analytic"}
     monkeypatch.setattr(analytic, "TRIANGLES", 500)
-    with pytest.raises(SceneError, match="triangles are in view, more than 500"):
+    with pytest.raises(SceneError, match="more than 500 triangles are in view"):
         picture(few_balls(), **how)
     monkeypatch.setattr(analytic, "PLACED", 1000)
     with pytest.raises(SceneError, match="the scene has .* triangles, more than 1000"):

@@ -13,7 +13,7 @@ from pointmr_engine import ForwardSettings, RaytraceSettings, RenderSettings, Sc
     ("name", "good", "bad"),
     [
         ("sampling", ["static", "dynamic"], ["", "Static", None]),
-        ("draws", ["random", "stratified", "poisson"], ["sobol"]),
+        ("draws", ["random", "stratified"], ["sobol"]),
         ("strategy", ["random", "jittered_grid", "quantised_grid", "neighbourhood"], ["grid"]),
         ("reconstruction", ["pixel", "gaussian", "subpixel", "analytic"], ["box"]),
         ("shading", ["simple", "full"], ["none"]),
