@@ -161,7 +161,7 @@ def test_gaps_of_the_scene_are_not_sampled_again():
     n = 300
     x, y = np.meshgrid(np.linspace(-4, 4, n + 1), np.linspace(-4, 4, n + 1))
     k = np.arange(n * n)
-    k = k[(k // n) % 12 < 8]
+    k = k[(k // n) % 12 < 9]
     a = k // n * (n + 1) + k % n
     faces = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
     strips = Mesh(
@@ -169,7 +169,7 @@ def test_gaps_of_the_scene_are_not_sampled_again():
     )
     scene = Scene(Group("root", [strips]), from_above(4.0), [], BLACK)
     counters = picture(scene, sampling="dynamic", reconstruction="pixel", shading="simple").stats["counters"]
-    assert counters["holes"] > 300 and counters["drawn_again"] == 0
+    assert counters["holes"] > 100 and counters["drawn_again"] == 0
 
 
 @pytest.mark.parametrize("rings", [8, 120], ids=["rasterised", "points"])
