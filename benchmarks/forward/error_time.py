@@ -151,7 +151,7 @@ def measure(name: str, o) -> list[dict]:
 
     caches: dict[str, Cache] = {}
     for method, label, chosen in our_methods(*size, o.methods):
-        cache = caches.setdefault("rays" if method in ("conventional", "distributed") else "forward", Cache())
+        cache = caches.setdefault("rays" if method in ("conventional", "distributed") else method, Cache())
         add(method, label, *ours(scene, chosen, cache, o.rounds))
     if "cycles" in o.methods and name != "land":
         for n in RAYS:

@@ -44,7 +44,7 @@ CORE, REST = (
 WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
-WEAK, WEAK_LATER = 0.12, 0.2  # throughputs below it go on by chance, at the first surface and behind it
+WEAK, WEAK_LATER = 0.04, 0.2  # throughputs below it go on by chance, at the first surface and behind it
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
 
