@@ -44,7 +44,7 @@ CORE, REST = (
 WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
-WEAK, WEAK_LATER = 0.04, 0.2  # throughputs below it go on by chance, at the first surface and behind it
+WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
 
@@ -164,15 +164,15 @@ def _branch(chosen, weight, before, target, total):
 
 
 @device
-def _survives(out, m, chance, weak):
-    """Whether row m of paths goes on, by a random number, where its throughput is below `weak`; it is then that."""
+def _survives(out, m, chance):
+    """Whether row m of paths goes on, by a random number, where its throughput is below WEAK; it is then that."""
     t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
-    if t >= weak:
+    if t >= WEAK:
         return True
-    if chance * weak >= t:
+    if chance * WEAK >= t:
         return False
     for c in range(3):
-        out.throughput[m, c] *= weak / t
+        out.throughput[m, c] *= WEAK / t
     return True
 
 
@@ -223,7 +223,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             continue
         chosen = bounce > 0 or total < SPLIT or crowded
         glints = bounce > 0 and _largest(t) < STRONG
-        weak, strong = (WEAK, STRONG) if bounce == 0 else (WEAK_LATER, 1.0)
+        strong = STRONG if bounce == 0 else 1.0
         slot = paths.slot[k]
         target = chance = 0.0
         if chosen:
@@ -264,7 +264,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
                     small[k], rough, ray,
                 )  # fmt: skip
-        if chosen and m == first + 1 and not _survives(out, first, chance, weak):
+        if chosen and m == first + 1 and not _survives(out, first, chance):
             m = first
     return m
 
