@@ -27,6 +27,7 @@ from pointmr_engine.forward.point_draws import (
     Draws,
     World,
     allocate_pen,
+    allocate_placed,
     draw_box,
     faces_away,
 )
@@ -59,12 +60,7 @@ class PointScratch(Scratch):
         super().__init__(target)
         self.counters = np.zeros(len(COUNTERS), np.int64)
         self.pen = allocate_pen(levels, target.depth.shape)
-        self._allocate_rows()
-
-    def _allocate_rows(self) -> None:
-        rows = len(self.transforms.parent)
-        self.scale, self.area = np.empty(rows), np.empty(rows)
-        self.even, self.key = np.empty(rows, np.bool_), np.empty(rows, np.uint64)
+        self.placed = allocate_placed(len(self.transforms.parent))
 
     def grow(self, status: int) -> None:
         entries, rows = int(self.used[0]), int(self.used[1])
@@ -77,7 +73,7 @@ class PointScratch(Scratch):
             self.heap = allocate_heap(2 * len(self.heap.key))
         else:
             self.transforms = grow_transforms(self.transforms, rows, 2 * len(self.transforms.parent))
-            self._allocate_rows()
+            self.placed = allocate_placed(len(self.transforms.parent))
 
 
 def sample_tile(
@@ -103,13 +99,15 @@ def sample_tile(
     if not again:
         scratch.pen.cell.fill(0.0)
         scratch.used[:2] = 0
-    start = scratch.used[:2].copy()
+    start, key = (
+        scratch.used[:2].copy(),
+        np.uint64(hash_path(np.uint64(seed & 0xFFFFFFFFFFFFFFFF), np.int64(0))),
+    )
     shown = (target.depth.copy(), target.ids.copy()) if again else None
     while True:
         status = _walk(
-            view, world, how, np.uint64(hash_path(np.uint64(seed & 0xFFFFFFFFFFFFFFFF), np.int64(0))),
-            np.ascontiguousarray(camera_from_world[:3], np.float64), *(np.int64(b) for b in bounds), target,
-            scratch.entries, scratch.heap, scratch.transforms, scratch.scale, scratch.area, scratch.even, scratch.key,
+            view, world, how, key, np.ascontiguousarray(camera_from_world[:3], np.float64),
+            *(np.int64(b) for b in bounds), target, scratch.entries, scratch.heap, scratch.transforms, scratch.placed,
             scratch.pen, scratch.box, scratch.bounds, scratch.constants, scratch.lanes, scratch.address, bool(culling),
             np.float32(SMALL * subpixels), scratch.used, scratch.counters,
         )  # fmt: skip
@@ -136,9 +134,20 @@ def _is_seen(view, world, how, transforms, row, i, corners):
     return not faces_away(view, corners, transforms.matrix, row)
 
 
+@device
+def _enter(world, transforms, placed, row, batch, which, new):
+    """Fill row `new` for placement `which` of a batch, met inside `row`; returns its group."""
+    group = compose(transforms, row, world.octree, world.instances, batch, which, new)
+    bound, even = area_scale(pointer_f64(world.instances.transforms[batch]), 12 * which)
+    placed.scale[new] = stretch_of(transforms.matrix, new)
+    placed.area[new], placed.even[new] = placed.area[row] * bound, placed.even[row] and even
+    placed.key[new] = hash_path(placed.key[row], np.int64(-1) - transforms.record[new])
+    return group
+
+
 @uncounted
 def _walk(view, world, how, seed, camera_from_world, left, low, right, high, target, entries, heap,
-          transforms, scale, area, even, key, pen, box, bounds, constants, lanes, address, culling, small, used,
+          transforms, placed, pen, box, bounds, constants, lanes, address, culling, small, used,
           counters):  # fmt: skip
     octree, distribution = world.octree, world.distribution
     sums = distribution.sums
@@ -149,13 +158,13 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
     sizes = used[2:4]
     sizes[0] = sizes[1] = 0
     row = used[1]
-    if row >= len(scale):
+    if row >= len(placed.scale):
         return TRANSFORMS_FULL
     used[1] += 1
     compose_root(transforms, camera_from_world, octree, root, row)
-    scale[row] = stretch_of(transforms.matrix, row)
-    area[row], even[row] = area_scale(transforms.matrix[row], np.int64(0))
-    key[row] = seed
+    placed.scale[row] = stretch_of(transforms.matrix, row)
+    placed.area[row], placed.even[row] = area_scale(transforms.matrix[row], np.int64(0))
+    placed.key[row] = seed
     add_box(view, octree, heap, sizes, transforms, np.int64(octree.group_root[root]), row, 0.0, box, bounds, left, low,
             width, height, counters, target, culling)  # fmt: skip
     while sizes[0] > 0:
@@ -173,7 +182,7 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
             continue
         first, own_end, end = octree.items[node, 0], octree.items[node, 2], octree.items[node, 3]
         # most points that a unit of area may need: at the nearest depth, and as far from the axis as the tile reaches
-        density = how.density * area[row] * densest(
+        density = how.density * placed.area[row] * densest(
             view, near, left + max(x0, 0.0), low + max(y0, 0.0), left + min(x1, width), low + min(y1, height)
         )  # fmt: skip
         shift = distribution.shift[transforms.group[row]]
@@ -194,8 +203,8 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
             counters[BOXES] += 1
             before = used[0]
             status = draw_box(
-                view, target, width, height, left, low, world, how, pen, transforms, area, even, row,
-                first, end, expected, hash_path(key[row], node), entries, used, counters,
+                view, target, width, height, left, low, world, how, pen, transforms, placed, row,
+                first, end, expected, hash_path(placed.key[row], node), entries, used, counters,
             )  # fmt: skip
             if status < 0:
                 return ENTRIES_FULL if status == NO_ENTRY else TRANSFORMS_FULL
@@ -209,14 +218,9 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
             part, which = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
             if part < 0:
                 new = used[1]
-                if new >= len(scale):
+                if new >= len(placed.scale):
                     return TRANSFORMS_FULL
-                batch = -1 - part
-                group = compose(transforms, row, octree, world.instances, batch, which, new)
-                bound, same = area_scale(pointer_f64(world.instances.transforms[batch]), 12 * which)
-                scale[new] = stretch_of(transforms.matrix, new)
-                area[new], even[new] = area[row] * bound, even[row] and same
-                key[new] = hash_path(key[row], np.int64(-1) - transforms.record[new])
+                group = _enter(world, transforms, placed, row, -1 - part, which, new)
                 counters[INSTANCES] += 1
                 slots = sizes[1]
                 if not add_box(view, octree, heap, sizes, transforms, np.int64(octree.group_root[group]), new, 0.0, box,
@@ -236,7 +240,8 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
                 if used[0] + last - i > len(entries.surfel):
                     return ENTRIES_FULL
                 if not ready:
-                    set_constants(view, width, height, left, low, transforms.matrix, row, scale[row], octree.box, node,
+                    set_constants(view, width, height, left, low, transforms.matrix, row, placed.scale[row], octree.box,
+                                  node,
                                   constants)  # fmt: skip
                     ready = True
                 counters[TRIANGLES] += last - i

@@ -55,6 +55,20 @@ class Draws(NamedTuple):
     backface_culling: bool
 
 
+class Placed(NamedTuple):
+    """What is known of the transforms' rows besides their matrices."""
+
+    scale: np.ndarray  # (R,) float64: how much the matrix stretches at most, nearly
+    area: np.ndarray  # (R,) float64: bound of the factor by which it scales areas ...
+    even: np.ndarray  # (R,) bool: ... which is exact
+    key: np.ndarray  # (R,) uint64: of the random numbers
+
+
+def allocate_placed(rows: int) -> Placed:
+    """Room for so many rows, undefined."""
+    return Placed(np.empty(rows), np.empty(rows), np.empty(rows, np.bool_), np.empty(rows, np.uint64))
+
+
 class Pen(NamedTuple):
     """A thread's working memory."""
 
@@ -154,13 +168,12 @@ def _row_of(pen, octree, instances, transforms, row, level, known, used):
 
 @device
 def draw_box(
-    view, target, width, height, left, low, world, how, pen, transforms, area, even, row, first, end,
-    expected, key, entries, used, counters,
+    view, target, width, height, left, low, world, how, pen, transforms, placed, row, first, end, expected, key,
+    entries, used, counters,
 ):  # fmt: skip
     """Draw the points of a node, the items first..end, of which so many are expected.
 
-    area, even: bound of the factor by which a row's matrix scales areas, and whether it is
-    exact. key: uint64 of the node in its placement. used (K,) int64: entries and rows of the transforms, both advanced.
+    key: uint64 of the node in its placement. used (K,) int64: entries and rows of the transforms, both advanced.
     Returns NO_ENTRY or NO_ROW where there is no more room, else 0.
     """
     octree, chain, weights = world.octree, pen.chain, pen.weights
@@ -168,8 +181,8 @@ def draw_box(
     for c in range(12):
         m[0, c] = transforms.matrix[row, c]
     chain.group[0] = transforms.group[row]
-    chain.scale[0] = area[row]
-    chain.uniform[0] = even[row]
+    chain.scale[0] = placed.area[row]
+    chain.uniform[0] = placed.even[row]
     chain.item[0] = -1
     inverse = 1.0 / expected
     spread = hash_path(key, np.int64(-2))
@@ -251,11 +264,11 @@ def draw_box(
         if inside and cover_run(target, line, column, column, w, 0.0, entry, 2.0, np.int64(0)):
             written = True
         if written:
-            placed = _row_of(pen, octree, world.instances, transforms, row, level, known, used)
-            if placed < 0:
+            at_row = _row_of(pen, octree, world.instances, transforms, row, level, known, used)
+            if at_row < 0:
                 return np.int64(NO_ROW)
             known = max(known, level)
             entries.surfel[entry] = -2 - 2 * i  # one fragment, wherever it is visible
-            entries.row[entry] = placed
+            entries.row[entry] = at_row
             used[0] = entry + 1
             counters[POINTS] += 1
