@@ -26,7 +26,7 @@ from benchmarks.methods import Method, read_exr
 from benchmarks.metrics import deviation
 from benchmarks.processes import Worker, WorkerError
 from benchmarks.reference import HALF_SEEDS, reference
-from benchmarks.report import markdown
+from benchmarks.report import command, markdown
 from benchmarks.sources import find, text_hash
 from pointmr_engine import RenderSettings, Scene, render
 from pointmr_engine.render import Cache
@@ -223,7 +223,7 @@ def main() -> None:
         [[r["scene"], r["label"], *(format(r[k], f) for _, k, f in COLUMNS)] for r in rows],
     )
     text = [
-        f"# Forward mapping: error against run time\n\n`python -m benchmarks.forward.error_time`, {o.size} x "
+        f"# Forward mapping: error against run time\n\n`{command('benchmarks.forward.error_time')}`, {o.size} x "
         f"{o.size * 3 // 4} "
         f"pixels, reference of {o.reference_samples} samples.",
         "One sun without shadow, Lambertian surfaces, the same pixel filter; relMSE = mean((I-R)^2/(R^2+0.01)), "

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.forward import scenes
 from benchmarks.forward.measuring import OUT, arguments, compile_kernels, fly, settings, write
-from benchmarks.report import markdown
+from benchmarks.report import command, markdown
 from benchmarks.sources import scenes_folder
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.hierarchy.octree import build_octree
@@ -136,7 +136,7 @@ def main() -> None:
         }
         print(rows[-1], flush=True)
     parts = [
-        f"# Forward mapping: speed\n\n`python -m benchmarks.forward.speed`, {o.size} x {o.size * 3 // 4} "
+        f"# Forward mapping: speed\n\n`{command('benchmarks.forward.speed')}`, {o.size} x {o.size * 3 // 4} "
         f"pixels, {o.views} views.",
         "Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. The last "
         "column is what "
