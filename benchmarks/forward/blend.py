@@ -46,10 +46,11 @@ def matte(material: Material | None) -> Material:
 
 
 def simplified(scene: Scene) -> Scene:
-    """A scene with Lambertian materials of one colour each, the benchmarks' sun and sky, and its own camera."""
+    """A scene of flat triangles, Lambertian materials of one colour each, the benchmarks' sun and sky, its own camera."""
     made: dict[int, Material] = {}
     for group in unique_groups(scene.root):
         for mesh in group.meshes:
+            mesh.normals = None  # as `to_blend` writes it
             mesh.materials = tuple(made.setdefault(id(m), matte(m)) for m in mesh.materials or (None,))
     return scenes.stage(scene.root, scene.camera)
 

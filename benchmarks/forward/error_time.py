@@ -186,10 +186,18 @@ def main() -> None:
         rounds=2,
         methods=["static", "dynamic", "conventional", "distributed", "cycles"],
     )
-    rows, panels, summary = [], [], []
+    of = {"size": [o.size, o.size * 3 // 4], "reference_samples": o.reference_samples}
+    record = OUT / "error_time.json"
+    known = json.loads(record.read_text()) if record.is_file() else []
+    rows = [r for r in known if r["scene"] not in o.scenes and of.items() <= r.items()]  # of earlier runs
     for name in o.scenes:
-        mine = measure(name, o)
-        rows += mine
+        rows += [r | of for r in measure(name, o)]
+        OUT.mkdir(parents=True, exist_ok=True)
+        record.write_text(json.dumps(rows))
+    panels, summary = [], []
+    names = list(dict.fromkeys(r["scene"] for r in rows))
+    for name in names:
+        mine = [r for r in rows if r["scene"] == name]
         for key, label in (("rel_mse", "relative MSE"), ("flip", "mean FLIP")):
             panels.append(
                 {
@@ -215,15 +223,14 @@ def main() -> None:
                     *rivals,
                 ]
             )
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "error_time.json").write_text(json.dumps(rows))
     plot(o.output / "forward-error-time.png", panels)
     table = markdown(
         ["scene", "method:samples", *(c[0] for c in COLUMNS)],
         [[r["scene"], r["label"], *(format(r[k], f) for _, k, f in COLUMNS)] for r in rows],
     )
+    typed = f"--scenes {' '.join(names)} --size {o.size} --reference-samples {o.reference_samples}".split()
     text = [
-        f"# Forward mapping: error against run time\n\n`{command('benchmarks.forward.error_time')}`, {o.size} x "
+        f"# Forward mapping: error against run time\n\n`{command('benchmarks.forward.error_time', typed)}`, {o.size} x "
         f"{o.size * 3 // 4} "
         f"pixels, reference of {o.reference_samples} samples.",
         "One sun without shadow, Lambertian surfaces, the same pixel filter; relMSE = mean((I-R)^2/(R^2+0.01)), "
