@@ -46,7 +46,7 @@ def matte(material: Material | None) -> Material:
 
 
 def simplified(scene: Scene) -> Scene:
-    """A scene of flat triangles, Lambertian materials of one colour each, the benchmarks' sun and sky, its own camera."""
+    """A scene of flat triangles, one Lambertian colour a material, the benchmarks' sun and sky, and its own camera."""
     made: dict[int, Material] = {}
     for group in unique_groups(scene.root):
         for mesh in group.meshes:
