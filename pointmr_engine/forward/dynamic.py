@@ -59,7 +59,7 @@ class PointScratch(Scratch):
     def __init__(self, target: Target, levels: int):
         super().__init__(target)
         self.counters = np.zeros(len(COUNTERS), np.int64)
-        self.pen = allocate_pen(levels, target.depth.shape)
+        self.pen = allocate_pen(levels)
         self.placed = allocate_placed(len(self.transforms.parent))
 
     def grow(self, status: int) -> None:
@@ -97,7 +97,6 @@ def sample_tile(
     scratch.address[3] = world.corners.ctypes.data
     target, before = scratch.target, scratch.counters.copy()
     if not again:
-        scratch.pen.cell.fill(0.0)
         scratch.used[:2] = 0
     start, key = (
         scratch.used[:2].copy(),
@@ -116,7 +115,6 @@ def sample_tile(
         scratch.used[:2] = start
         scratch.grow(status)
         scratch.counters[:] = before
-        scratch.pen.cell.fill(0.0)
         if shown is None:
             clear(target, bounds[2] - bounds[0])
         else:

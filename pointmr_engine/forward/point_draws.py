@@ -4,8 +4,8 @@ A node's surface lies on a line, in the octree's order, as long as the number of
 function of the seed, the placement and the node alone, so neighbouring tiles see the same ones. random: a Poisson
 process, whose gaps are independent and exponential (a box has a Poisson-distributed number of independent points, and
 they come in order: one sweep instead of many searches); stratified: one point in each unit of length. A point is
-dropped if something nearer is drawn at its subpixel, or if it is not the nearest of its cell so far; else it is a small
-disc in the plane of its triangle, round in the image (talk: "Dynamic Sampling").
+dropped if something nearer is drawn at its subpixel; else it is a small disc in the plane of its triangle, round in the
+image (talk: "Dynamic Sampling").
 """
 
 from __future__ import annotations
@@ -50,7 +50,6 @@ class Draws(NamedTuple):
     tiny: float  # a box whose sides look no longer is sampled as a whole whatever its depths ...
     most: float  # ... by so many points at most, however much surface is folded into it
     radius: float  # of a point's disc; 0: the subpixel that it lies in is all that it shows
-    cells: float  # per subpixel's side; of each the nearest point is kept
     stratified: bool  # else random
     backface_culling: bool
 
@@ -76,17 +75,15 @@ class Pen(NamedTuple):
     weights: np.ndarray  # (2,) float64
     rows: np.ndarray  # (L,) int64 of the transforms, of the placements that the last point lies in
     corners: np.ndarray  # (3, 3) float64
-    cell: np.ndarray  # (H, W) float32: nearness of the nearest point so far of each cell of the tile
 
 
-def allocate_pen(levels: int, cells: tuple[int, int]) -> Pen:
-    """Working memory for groups nested `levels` deep and tiles of up to so many cells (rows, columns)."""
+def allocate_pen(levels: int) -> Pen:
+    """Working memory for groups nested `levels` deep."""
     return Pen(
         allocate_chain(levels),
         np.empty(2),
         np.empty(levels + 2, np.int64),
         np.empty((3, 3)),
-        np.zeros(cells, np.float32),
     )
 
 
@@ -224,20 +221,14 @@ def draw_box(
             continue
         column, line = np.int64(math.floor(px)), np.int64(math.floor(py))
         inside = 0 <= column < width and 0 <= line < height
-        if inside:
-            if np.float32(w) <= target.depth[line, column]:
-                continue
-            cx, cy = np.int64(px * how.cells), np.int64(py * how.cells)
-            if np.float32(w) <= pen.cell[cy, cx]:
-                continue
+        if inside and np.float32(w) <= target.depth[line, column]:
+            continue
         hole = cut_out_of(world.cut_outs, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]))
         if hole >= 0 and uniform(random, _OPACITY) * 255.0 >= opacity_at(world.cut_outs, hole, w1, w2):
             continue
         triangle_to_camera(m, level, world.corners, i, pen.corners)
         if how.backface_culling and faces_away(view, pen.corners, m, level):
             continue
-        if inside:
-            pen.cell[cy, cx] = w
         entry = used[0]
         if entry >= len(entries.surfel):
             return np.int64(NO_ENTRY)

@@ -17,7 +17,7 @@ from pointmr_engine.forward.sample_count import hole_probability, points_per_pix
 from pointmr_engine.forward.tiles import Workspace
 
 AGAIN = 2  # times that missing pixels are sampled again at most: many are gaps that the scene has
-KEPT = 1.0  # points: what expects more is drawn as a triangle, which is exact and takes no longer
+KEPT = 0.3  # points: what expects more is drawn as a triangle: half the error of 1.0 in a forest, for a fifth more time
 COVER = 2.5  # area of all discs over that of the surface: a share of e^-2.5 of random ones would stay open
 WIDE = 8.0  # pixels: larger boxes are not sampled as a whole where hidden ones are left out
 TINY = 0.5  # pixels: smaller boxes are, whatever their depths, ...
@@ -26,20 +26,17 @@ TINY_AREA = 1.0  # ... for so many pixels at most, however much surface is folde
 
 def make_draws(options, subpixels: int, pixels: float) -> Draws:
     """How an image of so many pixels is sampled under ForwardSettings; subpixels: per side of a pixel."""
-    # cells half as wide as the distance of samples: wider ones would keep too few, finer ones more than it asks for
-    cells = 1
-    if options.reconstruction != "pixel":
-        cells = int(np.clip(round(2.0 * options.samples_per_pixel**0.5), 1, subpixels))
     area = pixels * max(options.samples_per_pixel, 1.0)
     density = options.samples_per_pixel * points_per_pixel(options.draws, area, options.failure)
-    kept = min(density, float(cells**2))
-    radius = subpixels * math.sqrt(COVER / (math.pi * kept))
+    # as if four points a sample were seen: more of them are, which closes the gaps that chance leaves
+    seen = min(density, 4.0 * options.samples_per_pixel)
+    radius = subpixels * math.sqrt(COVER / (math.pi * seen))
     if options.reconstruction == "pixel" and options.samples_per_pixel >= 1.0:
         radius = 0.0  # the pixel that a point lies in is all that it shows
     wide = WIDE * subpixels if options.occlusion_culling else math.inf
     return Draws(
         density / subpixels**2, 1.0 + options.epsilon, KEPT, wide, TINY * subpixels, TINY_AREA * density,
-        radius, cells / subpixels, options.draws == "stratified", options.backface_culling,
+        radius, options.draws == "stratified", options.backface_culling,
     )  # fmt: skip
 
 

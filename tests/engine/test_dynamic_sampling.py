@@ -259,8 +259,8 @@ class Drawn:
         self.scratch = PointScratch(target, self.geometry.depth)
         values = {
             "density": ppp / subpixels**2, "ratio": 1.5, "kept": np.inf, "wide": 5.0 * subpixels,
-            "tiny": 0.5 * subpixels, "most": ppp, "radius": 0.0, "cells": 1.0 / subpixels,
-            "stratified": draws == "stratified", "backface_culling": False,
+            "tiny": 0.5 * subpixels, "most": ppp, "radius": 0.0, "stratified": draws == "stratified",
+            "backface_culling": False,
         } | how  # fmt: skip
         tables = self.geometry.tables
         self.world = World(
@@ -354,7 +354,7 @@ def test_tiles_see_the_same_points(draws):
         target = allocate_target(x1 - x0, 48)
         clear(target, x1 - x0)
         scratch = PointScratch(target, whole.geometry.depth)
-        how = Draws(8.0, 1.5, np.inf, 5.0, 0.5, 8.0, 0.0, 1.0, draws == "stratified", False)
+        how = Draws(8.0, 1.5, np.inf, 5.0, 0.5, 8.0, 0.0, draws == "stratified", False)
         sample_tile(
             whole.view, whole.world, whole.camera.camera_from_world, how, 5, (x0, 0, x1, 48), scratch, True, 1
         )

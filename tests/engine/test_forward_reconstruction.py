@@ -73,9 +73,17 @@ def test_every_combination_is_near_many_rays(balls, sampling, reconstruction):
         assert (frame.passes["material_index"] == truth["material_index"]).mean() > 0.95
 
 
+@pytest.fixture(scope="module")
+def fine_balls():
+    """Triangles so small that points stand for them."""
+    scene = few_balls(120)
+    scene.lights[0] = sun(cast_shadow=True)
+    return scene, Cache(), render(scene, replace(SIZE, method="distributed")).passes
+
+
 @pytest.mark.parametrize("reconstruction", ["pixel", "gaussian", "subpixel"])
-def test_more_points_come_nearer(balls, reconstruction):
-    scene, cache, truth = balls
+def test_more_points_come_nearer(fine_balls, reconstruction):
+    scene, cache, truth = fine_balls
     errors = [
         np.abs(
             picture(
