@@ -12,8 +12,6 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.forward.draw import Entries
-from pointmr_engine.forward.fragments import fill_fragments, fill_normal_matrices
-from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
 from pointmr_engine.forward.polygon_cover import (
     CORNERS,
     LEAST,
@@ -61,9 +59,6 @@ class VisiblePolygons:
         polygons, corners, planes = self._polygons(region)
         visible = self._visible(shapely, polygons, corners, planes, tell)
         self._edges(shapely, visible)
-        self.normals = np.empty((len(self.transforms.record), 9))
-        fill_normal_matrices(self.transforms.matrix, np.int64(len(self.normals)), self.normals)
-        self._values = None
         self.counts = {
             "triangles": len(corners),
             "polygons": int((np.diff(self.first_edge) > 0).sum()),
@@ -175,15 +170,6 @@ class VisiblePolygons:
             self.first_edge[t + 1] = self.first_edge[t] + n
         self.edges = np.ascontiguousarray(np.concatenate(edges)) if edges else np.zeros((0, 4))
 
-    def placement_values(self, hierarchy):
-        """What instances say about the placements, a row each; made when first asked for."""
-        if self._values is None:
-            rows = len(self.transforms.record)
-            values = allocate_placement_values(rows)
-            combine_placements(self.transforms, hierarchy.instances, np.int64(rows), values)
-            self._values = values
-        return self._values
-
 
 def _refused(reason: str) -> SceneError:
     return SceneError(f"forward.reconstruction = 'analytic': {reason}; use 'subpixel'")
@@ -246,12 +232,7 @@ class PolygonSpace(Workspace):
             self.start_tile(bounds)
 
     def _fragments(self, hierarchy) -> int:
-        found = self.image.drawn
-        fill_fragments(
-            self.image.view, np.int64(self.left), np.int64(self.low), hierarchy.octree, hierarchy.sets,
-            hierarchy.corners, hierarchy.parts, self.image.sampler.looks, found.transforms, found.normals,
-            self.scratch.entries, self.fragments, np.int64(self.count), self.corners,
-        )  # fmt: skip
+        self._fill(hierarchy, np.int64(self.count))
         return self.count
 
     def _filtered(self, values, background, rows: int, columns: int) -> np.ndarray:
@@ -261,9 +242,6 @@ class PolygonSpace(Workspace):
             background, np.int64(self.image.subpixels), self.image.taps, out,
         )  # fmt: skip
         return out.astype(np.float32)
-
-    def placement_values(self, hierarchy):
-        return self.image.drawn.placement_values(hierarchy)
 
 
 def _shares(n: int) -> Shares:

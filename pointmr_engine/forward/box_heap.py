@@ -15,9 +15,7 @@ from pointmr_engine.forward.subpixels import is_hidden
 from pointmr_engine.forward.transforms import box_to_camera
 from pointmr_engine.numerics.jit import device
 
-FINE = (
-    2048  # subpixels: bounds up to this size are compared with every depth in them, larger ones with blocks
-)
+FINE = 2048  # subpixels: bounds up to this size are compared with every depth, larger ones with blocks
 COUNTED = 1 << 14  # subpixels: in bounds up to this size it is counted how much of them is open
 NODES, OUTSIDE, HIDDEN = 0, 1, 2  # counters of a walk: boxes looked at, and of these left out
 

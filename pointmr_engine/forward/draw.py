@@ -242,6 +242,14 @@ def triangle_to_camera(matrix, row, corners, item, out):
 
 
 @device
+def plane_of(corners):
+    """Cross product of the edges from a triangle's first corner, corners (3, 3)."""
+    ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
+    bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@device
 def draw_triangle(view, target, width, height, left, low, corners, entry):
     """Draw the triangle with corners (3, 3) in camera space, clipped at the near plane; whether it was written."""
     inside = 0

@@ -1,9 +1,9 @@
 """Dynamic selection: one walk through the octrees of all placements for a tile, which draws new random points.
 
 A box is sampled as a whole where its density can be one number: where (z_max / z_min)^2 <= 1 + epsilon, no triangle in
-it expects more than a few points, and it looks no larger than what culling needs; or where it is smaller than a
-fraction of a pixel (talk: "Depth Approximation"). Else the walk goes to its children; its own triangles are drawn as
-they are where they expect more points, and sampled where they do not, instances continue in their group's octree.
+it expects more than `kept` points, and it looks no larger than what culling needs; or where it is smaller than a
+fraction of a pixel (talk: "Depth Approximation"). Else its own triangles are drawn as they are, instances continue in
+their group's octree, and the walk goes to its children.
 Boxes come nearest first; those outside the tile, and those behind what is drawn already, are left out.
 Time O(log tau + h + a log a log n): tau the relative depth range, h the octrees' height, a the surface in pixels.
 """
@@ -15,12 +15,11 @@ import numpy as np
 from pointmr_engine.forward.box_heap import (
     HIDDEN,
     add_box,
-    allocate_heap,
     is_behind,
     pop,
     stretch_of,
 )
-from pointmr_engine.forward.draw import Entries, set_constants, triangle_to_camera
+from pointmr_engine.forward.draw import set_constants, triangle_to_camera
 from pointmr_engine.forward.draw_triangles import draw_triangles
 from pointmr_engine.forward.point_draws import (
     NO_ENTRY,
@@ -33,7 +32,7 @@ from pointmr_engine.forward.point_draws import (
 )
 from pointmr_engine.forward.projection import densest, depth_ratio
 from pointmr_engine.forward.subpixels import Target, View, clear, mark_drawn
-from pointmr_engine.forward.transforms import box_to_camera, compose, compose_root, grow_transforms
+from pointmr_engine.forward.transforms import box_to_camera, compose, compose_root
 from pointmr_engine.forward.walk import (
     DONE,
     ENTRIES_FULL,
@@ -52,7 +51,7 @@ COUNTERS = ("nodes", "outside", "hidden", "points_drawn", "points", "triangles",
 
 
 class PointScratch(Scratch):
-    """One thread's buffers for walking and drawing points; those of entries and transforms keep what they hold."""
+    """One thread's buffers for walking and drawing points."""
 
     names = COUNTERS
 
@@ -63,16 +62,9 @@ class PointScratch(Scratch):
         self.placed = allocate_placed(len(self.transforms.parent))
 
     def grow(self, status: int) -> None:
-        entries, rows = int(self.used[0]), int(self.used[1])
-        if status == ENTRIES_FULL:
-            old = self.entries
-            self.entries = Entries(*(np.empty(2 * len(a), a.dtype) for a in old))
-            for new, a in zip(self.entries, old, strict=True):
-                new[:entries] = a[:entries]
-        elif status == HEAP_FULL:
-            self.heap = allocate_heap(2 * len(self.heap.key))
-        else:
-            self.transforms = grow_transforms(self.transforms, rows, 2 * len(self.transforms.parent))
+        """As of every walk's buffers; what is known of placements grows with them."""
+        super().grow(status)
+        if len(self.placed.key) < len(self.transforms.parent):
             self.placed = allocate_placed(len(self.transforms.parent))
 
 
@@ -98,10 +90,8 @@ def sample_tile(
     target, before = scratch.target, scratch.counters.copy()
     if not again:
         scratch.used[:2] = 0
-    start, key = (
-        scratch.used[:2].copy(),
-        np.uint64(hash_path(np.uint64(seed & 0xFFFFFFFFFFFFFFFF), np.int64(0))),
-    )
+    start = scratch.used[:2].copy()
+    key = np.uint64(hash_path(np.uint64(seed & 0xFFFFFFFFFFFFFFFF), np.int64(0)))
     shown = (target.depth.copy(), target.ids.copy()) if again else None
     while True:
         status = _walk(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries, triangle_to_camera
+from pointmr_engine.forward.draw import Entries, plane_of, triangle_to_camera
 from pointmr_engine.forward.subpixels import EMPTY
 from pointmr_engine.forward.triangle_normals import interpolated_normal
 from pointmr_engine.hierarchy.surfels import NX, NY, NZ, RED, X, Y, Z
@@ -180,17 +180,7 @@ def fill_fragments(
         if e != last:
             last = e
             triangle_to_camera(m, row, all_corners, i, corners)
-            ax, ay, az = (
-                corners[1, 0] - corners[0, 0],
-                corners[1, 1] - corners[0, 1],
-                corners[1, 2] - corners[0, 2],
-            )
-            bx, by, bz = (
-                corners[2, 0] - corners[0, 0],
-                corners[2, 1] - corners[0, 1],
-                corners[2, 2] - corners[0, 2],
-            )
-            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            nx, ny, nz = plane_of(corners)
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
             scale = 1.0 / length if length > 0.0 else 0.0
         dx, dy = ray_through(view, left + fragments.x[k], low + fragments.y[k])

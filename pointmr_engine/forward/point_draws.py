@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.forward.cut_out_cover import cut_out_of, opacity_at
-from pointmr_engine.forward.draw import to_target, triangle_to_camera
+from pointmr_engine.forward.draw import plane_of, to_target, triangle_to_camera
 from pointmr_engine.forward.subpixels import cover_ellipse, cover_run
-from pointmr_engine.hierarchy.distribution import Chain, allocate_chain, draw, uniform
+from pointmr_engine.hierarchy.distribution import BELOW_ONE, Chain, allocate_chain, draw, uniform
 from pointmr_engine.numerics.hashing import hash_path
 from pointmr_engine.numerics.jit import device
 
@@ -26,7 +26,6 @@ STEEP = 4.0  # depth over width of the steepest disc: triangles seen edge-on wou
 NO_ENTRY, NO_ROW = -1, -2  # of draw_box: what ran out
 DRAWN, POINTS = 3, 4  # counters: points drawn; and those that were the nearest so far
 _OPACITY = np.int64(1 << 40)  # number of the random number that decides about transparency
-_BELOW_ONE = 1.0 - 2.0**-53
 
 
 class World(NamedTuple):
@@ -79,28 +78,7 @@ class Pen(NamedTuple):
 
 def allocate_pen(levels: int) -> Pen:
     """Working memory for groups nested `levels` deep."""
-    return Pen(
-        allocate_chain(levels),
-        np.empty(2),
-        np.empty(levels + 2, np.int64),
-        np.empty((3, 3)),
-    )
-
-
-@device
-def plane_of(corners):
-    """Cross product of a triangle's edges, corners (3, 3)."""
-    ax, ay, az = (
-        corners[1, 0] - corners[0, 0],
-        corners[1, 1] - corners[0, 1],
-        corners[1, 2] - corners[0, 2],
-    )
-    bx, by, bz = (
-        corners[2, 0] - corners[0, 0],
-        corners[2, 1] - corners[0, 1],
-        corners[2, 2] - corners[0, 2],
-    )
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return Pen(allocate_chain(levels), np.empty(2), np.empty(levels + 2, np.int64), np.empty((3, 3)))
 
 
 @device
@@ -190,15 +168,14 @@ def draw_box(
             at = number + uniform(key, number)
         else:
             at -= math.log(1.0 - uniform(key, number))
-        if (
-            at >= expected
-        ):  # where the last unit is not whole, no point in it is as probable as the rest is long
+        # where the last unit is not whole, a point in it is as probable as it is long
+        if at >= expected:
             return np.int64(0)
         counters[DRAWN] += 1
         random = hash_path(spread, number)
         level = draw(
             octree, world.distribution, world.parts, world.instances, first, end,
-            min(at * inverse, _BELOW_ONE), random, chain, weights,
+            min(at * inverse, BELOW_ONE), random, chain, weights,
         )  # fmt: skip
         if level < 0:
             continue
@@ -237,21 +214,8 @@ def draw_box(
             slope_x, slope_y = _slopes(view, pen.corners, x, y, z)
             square = how.radius * how.radius
             written = cover_ellipse(
-                target,
-                width,
-                height,
-                px,
-                py,
-                square,
-                0.0,
-                square,
-                w,
-                slope_x,
-                slope_y,
-                entry,
-                2.0,
-                np.int64(0),
-            )
+                target, width, height, px, py, square, 0.0, square, w, slope_x, slope_y, entry, 2.0, np.int64(0),
+            )  # fmt: skip
         if inside and cover_run(target, line, column, column, w, 0.0, entry, 2.0, np.int64(0)):
             written = True
         if written:

@@ -79,12 +79,17 @@ class Scratch:
         self.address = np.array([0, self.constants.ctypes.data, self.lanes.ctypes.data, 0, 0], np.uint64)
 
     def grow(self, status: int) -> None:
+        """Twice the room of what ran short; entries and transforms keep those that are used."""
+        entries, rows = (int(n) for n in self.used[:2])
         if status == ENTRIES_FULL:
-            self.entries = Entries(*(np.empty(2 * len(a), a.dtype) for a in self.entries))
+            old = self.entries
+            self.entries = Entries(*(np.empty(2 * len(a), a.dtype) for a in old))
+            for new, a in zip(self.entries, old, strict=True):
+                new[:entries] = a[:entries]
         elif status == HEAP_FULL:
             self.heap = allocate_heap(2 * len(self.heap.key))
         else:
-            self.transforms = grow_transforms(self.transforms, 0, 2 * len(self.transforms.parent))
+            self.transforms = grow_transforms(self.transforms, rows, 2 * len(self.transforms.parent))
             self.scale = np.empty(len(self.transforms.parent))
 
 

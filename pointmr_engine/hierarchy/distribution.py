@@ -24,7 +24,7 @@ _EXHAUSTED = (
 )  # of a random number's range: what is left when an item is chosen this narrow is drawn anew
 _QUARTERINGS = 3  # of a triangle: finer than the distance of its points, of which it has a few at most
 _NEAR = 6  # items that are looked at one by one
-_BELOW_ONE = 1.0 - 2.0**-53
+BELOW_ONE = 1.0 - 2.0**-53
 _INV_2_53 = 2.0**-53
 _INV_2_32 = 2.0**-32
 
@@ -222,7 +222,7 @@ def draw(octree, distribution, tables, instances, first, end, u, key, chain, wei
             chain.item[level] = i
             break
         area = sums[i + 1 + shift] - sums[i + shift]
-        u = min(max((x - sums[i + shift]) / area, 0.0), _BELOW_ONE)
+        u = min(max((x - sums[i + shift]) / area, 0.0), BELOW_ONE)
         width *= area / whole
         if width < _EXHAUSTED:
             u = uniform(key, level + 1)
@@ -242,7 +242,7 @@ def draw(octree, distribution, tables, instances, first, end, u, key, chain, wei
         root = octree.group_root[group]
         first, end = np.int64(octree.items[root, 0]), np.int64(octree.items[root, 3])
     whole = sums[i + 1 + shift] - sums[i + shift]
-    _place(min(max((x - sums[i + shift]) / whole, 0.0), _BELOW_ONE), hash_path(key, np.int64(0)), weights)
+    _place(min(max((x - sums[i + shift]) / whole, 0.0), BELOW_ONE), hash_path(key, np.int64(0)), weights)
     if not chain.uniform[level]:
         grown = _area_growth(
             tables, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]), chain.matrix, level
@@ -284,7 +284,7 @@ def sorted_uniforms(key, out, n):
         total -= np.log1p(-uniform(key, np.int64(i)))
         out[i] = total
     for i in range(n):
-        out[i] = min(out[i] / total, _BELOW_ONE)
+        out[i] = min(out[i] / total, BELOW_ONE)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
