@@ -27,7 +27,7 @@ METHODS = {
 LEVELS = range(10)
 WIDTHS = (80, 160, 320, 640, 1280)
 DEPTHS = (1e1, 1e2, 1e3, 1e5, 1e7, 1e9)
-EPSILONS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+EPSILONS = (0.002, 0.01, 0.05, 0.25, 1.0, 4.0)
 
 
 def measure(flight, rounds: int, width: int, **options) -> dict:

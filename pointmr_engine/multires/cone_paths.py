@@ -80,11 +80,14 @@ class ConePaths(EdgePaths):
         self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
         self.going = 0
 
-    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
+    def start_tile(self, space) -> None:
+        super().start_tile(space)
         n = len(space.fragments.entry) if self.light.shares_world else 0
         if n != (0 if self.shares is None else len(self.shares.rays)):
             self.shares = allocate_shares(n) if n else None
-        super().trace(space, hierarchy, values, first, count)
+
+    def waiting_cones(self):
+        return self.lobe_cones
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:
@@ -145,10 +148,12 @@ class ConePaths(EdgePaths):
             self.counts_rays = False  # those that pass a surface have been counted
         return super().settle(count)
 
-    def finish_tile(self, space, count: int) -> None:
-        """Add what the fragments 0..count of a tile receive of the world together to space.light."""
+    def finish_tile(self, count: int) -> None:
+        """Radiance of the tile's fragments 0..count to space.light, with what they receive of the world together."""
+        super().finish_tile(count)
         if self.shares is None:
             return
+        space = self.space
         f, image = space.fragments, space.image
         share_light(f.x, f.y, image.subpixels, image.reach, self.shares, count, space.used.shape, space.light)
 

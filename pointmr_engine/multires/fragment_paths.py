@@ -16,6 +16,7 @@ from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.clumps import FLATNESS, Clumps
 from pointmr_engine.multires.curvature import spread_of_curvature
+from pointmr_engine.multires.path_pool import PathPool
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
 from pointmr_engine.raytracing import paths, walk
@@ -27,6 +28,8 @@ from pointmr_engine.shading.bsdf.layout import WEIGHT
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
 BATCH = 8192
+FRESH = 2 * BATCH  # paths behind first surfaces that move on together
+FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those that do not wait any longer
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
 TINGE = 0.02  # of light in a channel: what coloured transparency lets through, below which it is not followed
 VEILS = 8  # transparent surfaces that a look at a clump passes at most
@@ -111,15 +114,36 @@ class FragmentPaths(Workspace):
         self.pixel = np.empty(n, np.int64)
         self.coloured = np.zeros(n, np.bool_)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
+        self.every = self.samples  # of the fragments whose paths are under way; self.samples: those of one batch
+        self.held, self.pieces = 0, []  # how many, and (first fragment, first sample, how many) of each batch
+        self.fresh, self.tail = PathPool(FRESH, room > 0), PathPool(FEW + MANY, room > 0)
         none = np.zeros((0, 3))
         self.tile = TileSums(
             none, none, none, none, *(np.zeros(0),) * 5, np.zeros(4, np.int64), np.zeros(1, np.int64)
         )
 
-    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
-        """Radiance of fragments first..first + count of a tile to space.light; see forward.tiles.Workspace."""
+    def start_tile(self, space) -> None:
+        """Begin with the fragments of a tile (forward.tiles.Workspace)."""
+        self.space = space
+        space.used[:] = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self.held, self.pieces = 0, []
+        self.fresh.empty()
+        self.tail.empty()
+
+    def trace(self, hierarchy, values, first: int, count: int) -> None:
+        """Send out the paths of fragments first..first + count of the tile; `finish_tile` has what they bring."""
+        space = self.space
         image, f = space.image, space.fragments
         now, then = self.queues
+        if self.held + count > len(self.every.radiance):
+            self._settle_paths()
+        if self.fresh.count > BATCH:
+            self._follow_pool(self.fresh)
+        base = self.held
+        self.samples = paths.Samples(*(a[base : base + count] for a in self.every))
         samples, hits, first_, n_ = self.samples, self.hits, np.int64(first), np.int64(count)
         paths.start_paths(now, count)
         samples.radiance[:count] = 0.0
@@ -171,16 +195,49 @@ class FragmentPaths(Workspace):
             now.state.width[:count] = 0.0
         else:
             now.state.spread[:count] = 0.0
-        self.space, self.first, self.count = space, first, count
-        n, bounce = self.meet(self.tile, now, then, count, 0), 0
-        while n:
+        self.first, self.count = first, count
+        n = self.meet(self.tile, now, then, count, 0)
+        then.slot[:n] += base
+        self.samples = self.every
+        self.held += count
+        self.pieces.append((first, base, count))
+        if n > FRESH - self.fresh.count:
+            self._follow(then, now, n, 1, FEW)
+        else:
+            self.fresh.take(then, self.waiting_cones(), n, 1)
+
+    def waiting_cones(self):
+        """LobeCones of the paths that go on, or None."""
+        return None
+
+    def _follow_pool(self, pool: PathPool, few: int = FEW) -> None:
+        now, then = self.queues
+        n, bounce = pool.give(now, self.waiting_cones())
+        self._follow(now, then, n, bounce, few)
+
+    def _follow(self, now, then, n: int, bounce: int, few: int) -> None:
+        """Move the paths 0..n of `now` on, from surface to surface, until at most `few` are left: these wait."""
+        while n > few:
+            n = self._bounce(self.tile, now, then, n, bounce)
             now, then = then, now
             bounce += 1
-            n = self._bounce(self.tile, now, then, n, bounce)
-        np.copyto(space.light[first : first + count], samples.radiance[:count], casting="same_kind")
+        if n:
+            self.tail.take(now, self.waiting_cones(), n, bounce)
+        if self.tail.count > MANY:
+            self._follow_pool(self.tail)
 
-    def finish_tile(self, space, count: int) -> None:
-        """All fragments 0..count of a tile are traced: a place for methods that let them share light."""
+    def _settle_paths(self) -> None:
+        """Follow all paths to their ends, and give the fragments what they have brought."""
+        self._follow_pool(self.fresh)
+        self._follow_pool(self.tail, few=0)
+        light = self.space.light
+        for first, base, count in self.pieces:
+            np.copyto(light[first : first + count], self.every.radiance[base : base + count], casting="same_kind")
+        self._forget()
+
+    def finish_tile(self, count: int) -> None:
+        """Radiance of the tile's fragments 0..count, which have all been traced, to space.light."""
+        self._settle_paths()
 
     def _look_at_clumps(self, space, now, first: int) -> None:
         """Represent clumps by what the camera sees of them: the first surface behind a subpixel that shows each.

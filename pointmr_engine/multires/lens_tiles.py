@@ -115,7 +115,7 @@ class LensShading(TracedShading):
     def shade(self, space: LensTiles, hierarchy, count: int) -> None:
         image, f = self.image, space.fragments
         paths, values = self.paths(space), space.placement_values(hierarchy)
-        space.used[:] = 0
+        paths.start_tile(space)
         matrix = space.scratch.transforms.matrix
         for start, stop, k in space.parts:
             space.image = image.seen[k] if k >= 0 else image
@@ -124,12 +124,12 @@ class LensShading(TracedShading):
                 f.position[start:stop, :2] -= shift
                 matrix[rows, 3:8:4] -= shift
             for first in range(start, stop, BATCH):
-                paths.trace(space, hierarchy, values, first, min(BATCH, stop - first))
+                paths.trace(hierarchy, values, first, min(BATCH, stop - first))
             if k >= 0:
                 f.position[start:stop, :2] += shift
                 matrix[rows, 3:8:4] += shift
         space.image = image
-        paths.finish_tile(space, count)
+        paths.finish_tile(count)
 
 
 def split_lens(image) -> None:

@@ -105,10 +105,10 @@ class TracedShading:
     def shade(self, space: TracedTiles, hierarchy, count: int) -> None:
         """Fill space.light[:count]; see forward.materials.FullShading."""
         paths, values = self.paths(space), space.placement_values(hierarchy)
-        space.used[:] = 0
+        paths.start_tile(space)
         for first in range(0, count, BATCH):
-            paths.trace(space, hierarchy, values, first, min(BATCH, count - first))
-        paths.finish_tile(space, count)
+            paths.trace(hierarchy, values, first, min(BATCH, count - first))
+        paths.finish_tile(count)
 
     def paths(self, space: TracedTiles) -> FragmentPaths:
         """The thread's paths, made when it first shades."""

@@ -64,10 +64,10 @@ class EdgePaths(FragmentPaths):
         self.open_light = np.zeros(len(self.flat))
         self.low, self.high = np.empty((0, 0)), np.empty((0, 0))
 
-    def trace(self, space, hierarchy, values, first: int, count: int) -> None:
+    def start_tile(self, space) -> None:
+        super().start_tile(space)
         if self.low.shape != space.used.shape:
             self.low, self.high = np.empty(space.used.shape), np.empty(space.used.shape)
-        super().trace(space, hierarchy, values, first, count)
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
         self.alive = alive if bounce == 0 and len(self.space.seen) else None
