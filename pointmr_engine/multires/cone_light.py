@@ -12,12 +12,13 @@ from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones
+from pointmr_engine.multires.world_rays import WORTH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
 from pointmr_engine.raytracing.lights import LAMP, WORLD
 
 # shadow rays of a fragment to the world, to emitters, to one of many lights
-WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4
+WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4  # of a point; of first surfaces to the world: see world_rays
 FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
 OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
@@ -40,13 +41,14 @@ class ConeLight:
         wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
         turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
         if len(wide) <= FEW and len(turns) <= FEW:
-            # rays that pass leaves are dear
-            rays = WORLD_RAYS // 2 if stage.needs.transparent_shadows else WORLD_RAYS
-            turns += [(WORLD, 0)] * (rays if arrays.tree.leaf_of_world != -1 else 0)
+            turns += [(WORLD, 0)] * (arrays.tree.leaf_of_world != -1)
             turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
             self.rays = lights.asked(turns)
         else:
             wide, self.rays = [], lights.taken(MANY_RAYS)
+        # rays that pass leaves are dear
+        dear = 2 if stage.needs.transparent_shadows else 1
+        self.worth, self.world_rays = WORTH / dear, WORLD_RAYS // dear
         self.shares_world = (WORLD, 0) in self.rays.turns
         of = arrays.lamps.source
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]

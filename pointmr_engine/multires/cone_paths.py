@@ -21,16 +21,18 @@ from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
 from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
+from pointmr_engine.multires.world_rays import SUMS, first_rays, split_repeats, wanted_rays
 from pointmr_engine.multires.world_sharing import (
     allocate_shares,
     begin_shares,
-    count_rays,
+    count_near,
     share_light,
     take_light,
 )
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
-from pointmr_engine.raytracing.lights import LAMP, NONE, TRIANGLE, WORLD
+from pointmr_engine.raytracing.integrator import NEXT
+from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
 from pointmr_engine.raytracing.paths import SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
@@ -42,7 +44,6 @@ ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of ea
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
 AROUND = 0.5
 MOST = 3  # fragments of a cone
-WHOLE = 12  # subpixels from which a fragment's surface is taken to go on beside it, so that light is shared
 NO_SHADOWS = np.zeros((0, 0), np.float32)
 
 
@@ -62,8 +63,10 @@ class ConePaths(EdgePaths):
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
-        self.small, self.asked = None, 0
+        self.small = None
         self.shares, self.counts_rays = None, False
+        self.asked = np.zeros(n, np.int64)  # rays to the world
+        self.world_light = None  # (N,) float64 of fragments without what hides it, while it is asked
         self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
@@ -101,7 +104,7 @@ class ConePaths(EdgePaths):
         """Nothing: what is weak is left to chance where it is scattered."""
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
-        self.small, self.asked = self._small(n) if bounce == 0 else None, 0
+        self.small = self._small(n) if bounce == 0 else None
         self._scatter(now, n, alive, bounce)
         lobes, light = self.lobes, self.light
         lobes.count[:n][~alive] = 0
@@ -119,9 +122,6 @@ class ConePaths(EdgePaths):
                 lobes, now.throughput, self.frames.position, self.flat, np.float32(FLATNESS), np.int64(self.first),
                 np.int64(n), self.shares,
             )  # fmt: skip
-            rows = slice(self.first, self.first + n)
-            whole = self.space.fragments.count[rows] >= WHOLE
-            self.fewer = self.small | (whole & (self.shares.albedo[rows].max(1) > 0.0))
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
         self.small = None
@@ -129,20 +129,63 @@ class ConePaths(EdgePaths):
             self._wide_lamps(now, n)
 
     def _look_at_light(self, now, m: int, turn) -> None:
-        if self.small is None or self.shares is None or turn != (WORLD, 0):
+        if turn != (WORLD, 0):
             super()._look_at_light(now, m, turn)
             return
-        first, n, radiance = np.int64(self.first), self.count, self.samples.radiance
-        before = radiance[:n].copy()
-        self.counts_rays = True
-        super()._look_at_light(now, m, turn)
-        self.counts_rays = False
-        take_light(radiance, before, first, np.int64(n), self.shares)
+        lit = self.lit_rows, self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u
+        kept = [a[:m].copy() for a in lit]
+        if self.small is None:  # behind first surfaces
+            self.asked[:] = self.light.world_rays
+            self._look_at_world(now, lit, kept, 0)
+        else:
+            self._look_as_worth(now, lit, kept)
+        for now_, then in zip(lit, kept, strict=True):
+            now_[:m] = then
+
+    def _look_as_worth(self, now, lit, kept) -> None:
+        """Ask the world as often as it is worth for each fragment; what arrives goes to those that share it."""
+        n, radiance, asked = self.count, self.samples.radiance, self.asked
+        subpixels = self.space.fragments.count[self.first : self.first + n]
+        before, whole = radiance[:n].copy(), np.float64(self.space.image.cone**2)
+        first_rays(subpixels, whole, np.int64(n), asked)
+        self.world_light = np.zeros(n)
+        self._look_at_world(now, lit, kept, 0)
+        open_light, self.world_light = self.world_light, None
+        arrived, done = (radiance[:n] - before).sum(1), asked[:n].copy()
+        rows, columns = self.space.used.shape
+        wanted_rays(
+            self.pixel, open_light, arrived, before.sum(1), subpixels, whole,
+            np.float64(self.light.worth), np.int64(n), np.empty((rows, columns, SUMS)), asked,
+        )  # fmt: skip
+        radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
+        self._look_at_world(now, lit, kept, done)
+        self.shares.rays[self.first : self.first + n] = asked[:n]
+        take_light(radiance, before, np.int64(self.first), np.int64(n), self.shares)
+
+    def _look_at_world(self, now, lit, kept, done) -> None:
+        """Those of the rays that are `asked` of the points `kept` beyond `done`."""
+        rows = kept[0]
+        more = self.asked[rows] - (done if isinstance(done, int) else done[rows])
+        for part in split_repeats(more, len(self.lit_rows)):
+            times = more[part]
+            total = int(times.sum())
+            if not total:
+                continue
+            for target, values in zip(lit, kept, strict=True):
+                target[:total] = np.repeat(values[part], times, 0)
+            number = np.arange(total) - np.repeat(np.cumsum(times) - times, times)
+            number += np.repeat(self.asked[rows[part]] - times, times)
+            u = self.lit_u[:total]
+            u += number[:, None] * NEXT
+            u -= np.floor(u)
+            self.counts_rays = self.small is not None
+            super()._look_at_light(now, total, (WORLD, 0))
+            self.counts_rays = False
 
     def settle(self, count: int) -> int:
         if self.counts_rays:
             met = self.shadow_hits
-            count_rays(
+            count_near(
                 self.shadows.source, met.triangle, met.t, np.int64(count), np.int64(self.first), self.shares
             )
             self.counts_rays = False  # those that pass a surface have been counted
@@ -161,15 +204,11 @@ class ConePaths(EdgePaths):
         """Light samples: of the world and what shines, lobes see their part themselves (share_with_lobes)."""
         chosen = super().sample_lights(m, turn)
         chosen.mis[:] = False
-        times = self.stage.lights.turns.count(turn)
-        chosen.pdf[:] *= times  # what is asked several times counts once
-        if self.small is not None and turn == (WORLD, 0) and times > 1:
-            small = self.fewer[self.lit_rows[:m]]
-            self.asked += 1
-            if self.asked > times // 2:
-                chosen.kind[small] = NONE
-            else:
-                chosen.pdf[small] *= (times // 2) / times
+        # what is asked several times counts once
+        if turn == (WORLD, 0) and self.stage is self.strong_stage:
+            chosen.pdf[:] *= self.asked[self.lit_rows[:m]]
+        else:
+            chosen.pdf[:] *= self.stage.lights.turns.count(turn)
         chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
         if turn in self.ratios:
             chosen.radiance[:] *= self.ratios[turn][self.lit_rows[:m], None]
@@ -185,6 +224,9 @@ class ConePaths(EdgePaths):
                 glints, self.integrated, np.int64(m), self.shared,
             )  # fmt: skip
         count = super().connect(now, m, chosen)
+        if self.world_light is not None:
+            light = self.shadows.light[:count].sum(1)
+            self.world_light += np.bincount(self.shadows.source[:count], light, len(self.world_light))
         if shared:
             restore_lobes(self.lobes, self.lit_rows, chosen, glints, np.int64(m), self.shared)
         return count

@@ -114,7 +114,9 @@ class FragmentPaths(Workspace):
         self.pixel = np.empty(n, np.int64)
         self.coloured = np.zeros(n, np.bool_)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
-        self.every = self.samples  # of the fragments whose paths are under way; self.samples: those of one batch
+        self.every = (
+            self.samples
+        )  # of the fragments whose paths are under way; self.samples: those of one batch
         self.held, self.pieces = 0, []  # how many, and (first fragment, first sample, how many) of each batch
         self.fresh, self.tail = PathPool(FRESH, room > 0), PathPool(FEW + MANY, room > 0)
         none = np.zeros((0, 3))
@@ -232,7 +234,9 @@ class FragmentPaths(Workspace):
         self._follow_pool(self.tail, few=0)
         light = self.space.light
         for first, base, count in self.pieces:
-            np.copyto(light[first : first + count], self.every.radiance[base : base + count], casting="same_kind")
+            np.copyto(
+                light[first : first + count], self.every.radiance[base : base + count], casting="same_kind"
+            )
         self._forget()
 
     def finish_tile(self, count: int) -> None:

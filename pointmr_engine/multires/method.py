@@ -61,7 +61,8 @@ class TracedImage(Image):
         self.beside = math.ceil(REACH / side) if self.light is not None and self.light.shares_world else 0
         self.taps = np.pad(self.taps, self.beside * self.subpixels)
         self.apron += self.beside
-        self.reach = REACH * self.subpixels / side
+        self.cone = self.subpixels // side  # subpixels per side of a cone
+        self.reach = REACH * self.cone
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.hardly = 0.0
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)

@@ -83,13 +83,11 @@ def begin_shares(lobes, throughput, position, flat, least_flat, first, count, sh
 
 
 @uncounted
-def count_rays(source, triangle, t, count, first, shares):
+def count_near(source, triangle, t, count, first, shares):
     """Shadow rays 0..count of the fragments first + source (N,): what each met, at t."""
     for i in range(count):
-        row = first + np.int64(source[i])
-        shares.rays[row] += np.float32(1)
         if triangle[i] != -1 and t[i] > 0.0:
-            shares.nearness[row] += np.float32(1.0 / t[i])
+            shares.nearness[first + np.int64(source[i])] += np.float32(1.0 / t[i])
 
 
 @device
@@ -177,7 +175,7 @@ def _received_about(table, first, end, s, reach, near, sums):
         change = math.sqrt(dx * dx + dy * dy + dz * dz) * near + math.sqrt(max(1.0 - facing, 0.0))
         within = (abs(table[AT_X, t] - x) <= reach) & (abs(table[AT_Y, t] - y) <= reach)
         weight = max(1.0 - change / ERROR, 0.0) if within else 0.0
-        weight = 1.0 if t == s else weight
+        weight = (1.0 if t == s else weight) * table[RAYS, t]
         u += weight * table[HEARD, t]
         v += weight * table[HEARD + 1, t]
         w += weight * table[HEARD + 2, t]

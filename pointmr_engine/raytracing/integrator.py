@@ -30,7 +30,7 @@ from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.points import RAY_SHADOW
 
 BATCH = 65536  # paths that move together: enough to make numpy's overhead small, few enough for the cache
-_NEXT = np.array(
+NEXT = np.array(
     [0.8191725134, 0.6710436067, 0.5497004779]
 )  # Roberts' low-discrepancy steps in three dimensions
 
@@ -332,7 +332,7 @@ class Workspace:
         m = self.choose_points(now, n, alive, bounce)
         for k, turn in enumerate(self.stage.lights.turns if m else ()):
             if k:  # each turn has its own place in the unit cube
-                self.lit_u[:m] += _NEXT
+                self.lit_u[:m] += NEXT
                 self.lit_u[:m] -= np.floor(self.lit_u[:m])
             self._look_at_light(now, m, turn)
 

@@ -270,7 +270,7 @@ def test_a_tiles_border_does_not_show():
     cache = Cache()
     whole = of(floor, cache, width=130, height=40)
     part = of(floor, cache, width=130, height=40, region=(60, 5, 110, 30))
-    np.testing.assert_allclose(whole[5:30, 60:110], part, rtol=1e-4)
+    np.testing.assert_allclose(whole[5:30, 60:110], part, rtol=2e-3)
 
 
 def test_passes_are_filtered_alike():

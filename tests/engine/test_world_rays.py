@@ -1,0 +1,82 @@
+"""How often fragments ask the world: by what their neighbours met, and never by what they or their pixel met."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pointmr_engine.multires.world_rays import MOST, SUMS, WORTH, first_rays, split_repeats, wanted_rays
+
+SIDE, WHOLE = 5, 64.0
+
+
+def ask(pixel, opened, arrived, others, subpixels):
+    """What wanted_rays says of fragments, after the rays they begin with."""
+    n = len(pixel)
+    asked = np.zeros(n, np.int64)
+    subpixels = np.asarray(subpixels, np.int32)
+    first_rays(subpixels, WHOLE, n, asked)
+    before = asked.copy()
+    wanted_rays(
+        np.asarray(pixel, np.int64), np.asarray(opened, float), np.asarray(arrived, float),
+        np.asarray(others, float), subpixels, WHOLE, WORTH, n, np.empty((SIDE, SIDE, SUMS)), asked,
+    )  # fmt: skip
+    return before, asked
+
+
+def field(share, others=0.0):
+    """One fragment a pixel, of whose world alternately more and less arrives: `share` on average."""
+    n = SIDE * SIDE
+    arrived = np.clip(share + 0.01 * (-1.0) ** np.arange(n), 0.0, 1.0)
+    return np.arange(n), np.ones(n), arrived, np.full(n, others), np.full(n, 64)
+
+
+def test_where_every_ray_escapes_or_none_does_fewer_are_worth_it_than_where_half_do():
+    middle = SIDE * SIDE // 2
+    open_, half = (ask(*field(s))[1][middle] for s in (1.0, 0.5))
+    assert open_ < half == MOST
+
+
+def test_where_other_light_outshines_the_world_few_rays_are_worth_it():
+    _, dark = ask(*field(0.5))
+    _, bright = ask(*field(0.5, others=50.0))
+    assert (bright <= 2).all() and (dark > bright).all()
+
+
+def test_small_fragments_are_worth_less():
+    pixel, opened, arrived, others, subpixels = field(0.9)
+    _, whole = ask(pixel, opened, arrived, others, subpixels)
+    _, part = ask(pixel, opened, arrived, others, subpixels // 16)
+    assert (part < whole).all() and (part >= 1).all()
+
+
+@given(st.data())
+def test_own_rays_and_those_of_the_pixel_do_not_decide(data):
+    n = data.draw(st.integers(2, 40))
+    draw = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    pixel = draw.integers(0, SIDE * SIDE, n)
+    opened, share, others = draw.uniform(0, 2, n), draw.uniform(0, 1, n), draw.uniform(0, 2, n)
+    subpixels = draw.integers(1, 65, n)
+    before, asked = ask(pixel, opened, opened * share, others, subpixels)
+    assert (asked >= before).all() and (asked <= MOST).all()
+    mine = pixel == pixel[0]
+    changed = np.where(mine, draw.uniform(0, 1, n), share)
+    opened = np.where(
+        mine, opened * draw.integers(0, 2, n), opened
+    )  # some rays may have left below the surface
+    _, again = ask(pixel, opened, opened * changed, others, subpixels)
+    assert (again[mine] == asked[mine]).all()
+
+
+@given(st.lists(st.integers(0, 16), max_size=60), st.integers(16, 50))
+def test_parts_hold_every_row_once_and_fit(times, room):
+    times = np.array(times, np.int64)
+    parts = split_repeats(times, room)
+    rows = [k for p in parts for k in range(p.start, p.stop)]
+    assert rows == list(range(len(times)))
+    assert all(times[p].sum() <= room for p in parts)
+
+
+def test_a_row_that_does_not_fit_is_refused_before_anything_is_lost():
+    with pytest.raises(ValueError, match="room"):
+        split_repeats(np.array([3, 40]), 16)
