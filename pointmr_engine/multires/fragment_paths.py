@@ -143,7 +143,7 @@ class FragmentPaths(Workspace):
         if self.held + count > len(self.every.radiance):
             self._settle_paths()
         if self.fresh.count > BATCH:
-            self._follow_pool(self.fresh)
+            self._follow_pool(self.fresh, FEW)
         base = self.held
         self.samples = paths.Samples(*(a[base : base + count] for a in self.every))
         samples, hits, first_, n_ = self.samples, self.hits, np.int64(first), np.int64(count)
@@ -212,26 +212,29 @@ class FragmentPaths(Workspace):
         """LobeCones of the paths that go on, or None."""
         return None
 
-    def _follow_pool(self, pool: PathPool, few: int = FEW) -> None:
+    def _follow_pool(self, pool: PathPool, few: int) -> None:
         now, then = self.queues
         n, bounce = pool.give(now, self.waiting_cones())
         self._follow(now, then, n, bounce, few)
 
     def _follow(self, now, then, n: int, bounce: int, few: int) -> None:
-        """Move the paths 0..n of `now` on, from surface to surface, until at most `few` are left: these wait."""
-        while n > few:
+        """Move the paths 0..n of `now` on, from surface to surface, until at most `few` are left: these wait.
+
+        Not at the first bounce, whose cones are not those of the others.
+        """
+        while n > (few if bounce > 1 else 0):
             n = self._bounce(self.tile, now, then, n, bounce)
             now, then = then, now
             bounce += 1
         if n:
             self.tail.take(now, self.waiting_cones(), n, bounce)
         if self.tail.count > MANY:
-            self._follow_pool(self.tail)
+            self._follow_pool(self.tail, FEW)
 
     def _settle_paths(self) -> None:
         """Follow all paths to their ends, and give the fragments what they have brought."""
-        self._follow_pool(self.fresh)
-        self._follow_pool(self.tail, few=0)
+        self._follow_pool(self.fresh, FEW)
+        self._follow_pool(self.tail, 0)
         light = self.space.light
         for first, base, count in self.pieces:
             np.copyto(

@@ -1,0 +1,77 @@
+"""Paths that wait for those of other batches: none is lost, none is changed, whatever the batches are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.closed_forms import curved_mirror
+from benchmarks.closed_forms.stage import mirror
+from pointmr_engine import RenderSettings, Scene, render
+from pointmr_engine.multires import fragment_paths, method
+from pointmr_engine.multires.cones import allocate_cones
+from pointmr_engine.multires.lobe_view import allocate_lobe_cones
+from pointmr_engine.multires.path_pool import PathPool
+from pointmr_engine.raytracing.paths import allocate_paths
+from pointmr_engine.scene.settings import RaytraceSettings
+from tests.engine.small_scenes import lit_floor
+
+N = 20
+
+
+def numbered(n: int, first: int):
+    """Paths and cones whose every column says which path it belongs to."""
+    paths, cones = allocate_paths(n), allocate_lobe_cones(n, allocate_cones(n))
+    state = paths.state._replace(camera_from_world=np.zeros((0,)))
+    for column in (*paths.rays, *state, *paths[2:], *cones.cones, *cones._replace(cones=np.zeros(0))):
+        rows = np.arange(first, first + len(column)) % 100
+        column[...] = rows.reshape(-1, *(1,) * (column.ndim - 1)).astype(column.dtype)
+    return paths, cones
+
+
+def test_what_is_taken_is_given_back_in_order():
+    pool = PathPool(3 * N, cones=True)
+    for first in (0, N):
+        pool.take(*numbered(N, first), N, 1 + first)
+    paths, cones = numbered(3 * N, 70)
+    assert pool.give(paths, cones) == (2 * N, 1 + N)
+    assert pool.count == 0
+    expected, its_cones = numbered(3 * N, 0)
+    for got, want in zip(
+        (paths.slot, paths.throughput, paths.rays.direction, paths.state.depth, cones.alpha, cones.cones.axes),
+        (expected.slot, expected.throughput, expected.rays.direction, expected.state.depth, its_cones.alpha,
+         its_cones.cones.axes),
+        strict=True,
+    ):  # fmt: skip
+        np.testing.assert_array_equal(got[: 2 * N], want[: 2 * N])
+    assert paths.slot[2 * N] == (70 + 2 * N) % 100  # rows behind are not touched
+
+
+def mirrors() -> Scene:
+    """Two balls that mirror each other over a floor, under a point: next to nothing in the image is left to chance."""
+    ball = curved_mirror.sphere(32)
+    balls = [
+        replace(
+            ball, positions=(0.5 * ball.positions + (x, 0, 0.5)).astype(np.float32), materials=(mirror(),)
+        )
+        for x in (-0.55, 0.55)
+    ]
+    return lit_floor(*balls, radius=0.0)
+
+
+@pytest.mark.parametrize("secondary", ["cones", "rays"])
+def test_the_batches_do_not_show(monkeypatch, secondary):
+    settings = RenderSettings(
+        48, 36, method="raytrace", threads=1, raytrace=RaytraceSettings(secondary=secondary)
+    )
+    whole = render(mirrors(), settings)
+    for module in (fragment_paths, method):
+        monkeypatch.setattr(module, "BATCH", 256)
+    for name, value in (("FRESH", 512), ("FEW", 40), ("MANY", 100)):
+        monkeypatch.setattr(fragment_paths, name, value)
+    parts = render(mirrors(), settings)
+    assert parts.stats["counters"]["shaded_points"] == whole.stats["counters"]["shaded_points"] > 48 * 36
+    parts, whole = (f.passes["combined"][..., :3].astype(float) for f in (parts, whole))
+    assert parts.mean() == pytest.approx(whole.mean(), rel=0.005)
+    # curved mirrors leave something to chance, whose numbers count the bounces
+    assert np.sqrt(((parts - whole) ** 2).mean()) < 0.05 * whole.mean()
