@@ -39,8 +39,6 @@ MISSED = {  # measured errors beyond the bound, percent of the range
     ("mirrored sphere, middle", 1): 2.84,
     ("mirrored sphere, middle", 64): 1.47,
     ("rough mirror 0.5", 1): 8.4,
-    ("sky at a contact", 1): 2.29,
-    ("sky under a roof", 1): 2.47,
 }
 
 
