@@ -64,7 +64,7 @@ class ConePaths(EdgePaths):
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
         self.small = None
-        self.shares, self.counts_rays = None, False
+        self.shares, self.counts_near = None, False
         self.asked = np.zeros(n, np.int64)  # rays to the world
         self.world_light = None  # (N,) float64 of fragments without what hides it, while it is asked
         self.none_small = np.zeros(n, np.bool_)
@@ -136,7 +136,7 @@ class ConePaths(EdgePaths):
         kept = [a[:m].copy() for a in lit]
         if self.small is None:  # behind first surfaces
             self.asked[:] = self.light.world_rays
-            self._look_at_world(now, lit, kept, 0)
+            self._look_at_world(now, lit, kept, self.asked[kept[0]])
         else:
             self._look_as_worth(now, lit, kept)
         for now_, then in zip(lit, kept, strict=True):
@@ -149,7 +149,7 @@ class ConePaths(EdgePaths):
         before, whole = radiance[:n].copy(), np.float64(self.space.image.cone**2)
         first_rays(subpixels, whole, np.int64(n), asked)
         self.world_light = np.zeros(n)
-        self._look_at_world(now, lit, kept, 0)
+        self._look_at_world(now, lit, kept, asked[kept[0]])
         open_light, self.world_light = self.world_light, None
         arrived, done = (radiance[:n] - before).sum(1), asked[:n].copy()
         rows, columns = self.space.used.shape
@@ -158,14 +158,12 @@ class ConePaths(EdgePaths):
             np.float64(self.light.worth), np.int64(n), np.empty((rows, columns, SUMS)), asked,
         )  # fmt: skip
         radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
-        self._look_at_world(now, lit, kept, done)
+        self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
         self.shares.rays[self.first : self.first + n] = asked[:n]
         take_light(radiance, before, np.int64(self.first), np.int64(n), self.shares)
 
-    def _look_at_world(self, now, lit, kept, done) -> None:
-        """Those of the rays that are `asked` of the points `kept` beyond `done`."""
-        rows = kept[0]
-        more = self.asked[rows] - (done if isinstance(done, int) else done[rows])
+    def _look_at_world(self, now, lit, kept, more: np.ndarray) -> None:
+        """The last `more` (m,) of the rays that are `asked` of each of the points `kept`."""
         for part in split_repeats(more, len(self.lit_rows)):
             times = more[part]
             total = int(times.sum())
@@ -173,22 +171,21 @@ class ConePaths(EdgePaths):
                 continue
             for target, values in zip(lit, kept, strict=True):
                 target[:total] = np.repeat(values[part], times, 0)
-            number = np.arange(total) - np.repeat(np.cumsum(times) - times, times)
-            number += np.repeat(self.asked[rows[part]] - times, times)
+            number = np.arange(total) + np.repeat(self.asked[kept[0][part]] - np.cumsum(times), times)
             u = self.lit_u[:total]
             u += number[:, None] * NEXT
             u -= np.floor(u)
-            self.counts_rays = self.small is not None
+            self.counts_near = self.small is not None
             super()._look_at_light(now, total, (WORLD, 0))
-            self.counts_rays = False
+            self.counts_near = False
 
     def settle(self, count: int) -> int:
-        if self.counts_rays:
+        if self.counts_near:
             met = self.shadow_hits
             count_near(
                 self.shadows.source, met.triangle, met.t, np.int64(count), np.int64(self.first), self.shares
             )
-            self.counts_rays = False  # those that pass a surface have been counted
+            self.counts_near = False  # those that pass a surface have been counted
         return super().settle(count)
 
     def finish_tile(self, count: int) -> None:

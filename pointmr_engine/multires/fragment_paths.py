@@ -114,9 +114,8 @@ class FragmentPaths(Workspace):
         self.pixel = np.empty(n, np.int64)
         self.coloured = np.zeros(n, np.bool_)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
-        self.every = (
-            self.samples
-        )  # of the fragments whose paths are under way; self.samples: those of one batch
+        # of all fragments whose paths are under way; self.samples: of one batch, while its first surfaces are lit
+        self.every = self.samples
         self.held, self.pieces = 0, []  # how many, and (first fragment, first sample, how many) of each batch
         self.fresh, self.tail = PathPool(FRESH, room > 0), PathPool(FEW + MANY, room > 0)
         none = np.zeros((0, 3))
@@ -203,7 +202,7 @@ class FragmentPaths(Workspace):
         self.samples = self.every
         self.held += count
         self.pieces.append((first, base, count))
-        if n > FRESH - self.fresh.count:
+        if n > self.fresh.room - self.fresh.count:
             self._follow(then, now, n, 1, FEW)
         else:
             self.fresh.take(then, self.waiting_cones(), n, 1)

@@ -26,9 +26,8 @@ class PathPool:
 
     def __init__(self, room: int, cones: bool):
         self.room, self.count, self.bounce = room, 0, 0
-        self.paths = allocate_paths(room)
-        self.cones = allocate_lobe_cones(room, allocate_cones(room)) if cones else None
-        self._own = _columns(self.paths, self.cones)
+        own = allocate_lobe_cones(room, allocate_cones(room)) if cones else None
+        self._own = _columns(allocate_paths(room), own)
 
     def empty(self) -> None:
         self.count = self.bounce = 0
