@@ -12,6 +12,7 @@ from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones
+from pointmr_engine.multires.lens import sharpest
 from pointmr_engine.multires.world_rays import WORTH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
@@ -50,12 +51,18 @@ class ConeLight:
         dear = 2 if stage.needs.transparent_shadows else 1
         self.worth, self.world_rays = WORTH / dear, WORLD_RAYS // dear
         self.shares_world = (WORLD, 0) in self.rays.turns
+        self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0
         of = arrays.lamps.source
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
         # one by one, those that take cones before those that take rays: for clumps
         each = [*wide, *(t[1] for t in self.rays.turns if t is not None and t[0] == LAMP)]
         self.each = [(k, compile_lamps([scene.lights[of[k]]])[0]) for k in each]
         self._sampler, self._lock = sampler, threading.Lock()
+
+    @property
+    def shares(self) -> bool:
+        """Whether fragments hear what their neighbours receive."""
+        return self.shares_world or self.shares_lobes
 
     def prefiltered(self) -> tuple:
         """What shadow cones walk and what lobes' cones walk, made when the first cone asks.

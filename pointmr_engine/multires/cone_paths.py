@@ -16,19 +16,28 @@ from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gathe
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
-from pointmr_engine.multires.lobe_rays import ROUGH
-from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share_with_lobes
-from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
-from pointmr_engine.multires.scatter import STRONG, scatter_lobes
-from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
-from pointmr_engine.multires.world_rays import SUMS, first_rays, split_repeats, wanted_rays
-from pointmr_engine.multires.world_sharing import (
+from pointmr_engine.multires.light_sharing import (
+    TURN_OF_LOBE,
+    TURN_OF_WORLD,
     allocate_shares,
-    begin_shares,
+    begin_world_shares,
+    count_lobe_rays,
     count_near,
     share_light,
     take_light,
 )
+from pointmr_engine.multires.lobe_rays import ROUGH
+from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share_with_lobes
+from pointmr_engine.multires.lobe_view import (
+    WITHIN_LOBE,
+    allocate_lobe_cones,
+    follow_cones,
+    thin_out,
+    weigh_sub_rays,
+)
+from pointmr_engine.multires.scatter import STRONG, scatter_lobes
+from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
+from pointmr_engine.multires.world_rays import SUMS, first_rays, split_repeats, wanted_rays
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import NEXT
@@ -37,6 +46,7 @@ from pointmr_engine.raytracing.paths import SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
+from pointmr_engine.shading.points import RAY_REFLECTION
 
 _WEIGHTS = cell_weights()
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
@@ -64,7 +74,11 @@ class ConePaths(EdgePaths):
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
         self.small = None
-        self.shares, self.counts_near = None, False
+        self.shares, self.counts_near = None, False  # of the world
+        self.lobe_shares = allocate_shares(0)
+        self.lobe_rays, self.lobe_near = np.empty((2, n if light.shares_lobes else 0), np.float32)
+        if light.shares_lobes:  # rays of lobes that are shared bring their light to samples of their own
+            self.every = paths.allocate_samples(2 * n)
         self.asked = np.zeros(n, np.int64)  # rays to the world
         self.world_light = None  # (N,) float64 of fragments without what hides it, while it is asked
         self.none_small = np.zeros(n, np.bool_)
@@ -88,6 +102,28 @@ class ConePaths(EdgePaths):
         n = len(space.fragments.entry) if self.light.shares_world else 0
         if n != (0 if self.shares is None else len(self.shares.rays)):
             self.shares = allocate_shares(n) if n else None
+        n = len(space.fragments.entry) if self.light.shares_lobes else 0
+        if n != len(self.lobe_shares.rays):
+            self.lobe_shares = allocate_shares(n)
+
+    def leave(self, then, n: int, base: int, count: int) -> None:
+        """Rays of rough lobes go on with samples of their own, so that what they find can be shared."""
+        if not len(self.lobe_rays):
+            return
+        own = slice(base, base + count)
+        for column in self.every:
+            column[ROOM + base : ROOM + base + count] = column[own]
+        self.every.radiance[ROOM + base : ROOM + base + count] = 0.0
+        self.lobe_rays[own] = self.lobe_near[own] = 0.0
+        reflected = (then.state.kind[:n] & RAY_REFLECTION) != 0
+        then.slot[:n][reflected & (self.waiting_cones().alpha[:n] == WITHIN_LOBE)] += ROOM
+
+    def receive(self, first: int, base: int, count: int) -> None:
+        super().receive(first, base, count)
+        if len(self.lobe_rays):
+            to, of = slice(first, first + count), slice(base, base + count)
+            self.lobe_shares.light[to] = self.every.radiance[ROOM + base : ROOM + base + count]
+            self.lobe_shares.rays[to], self.lobe_shares.nearness[to] = self.lobe_rays[of], self.lobe_near[of]
 
     def waiting_cones(self):
         return self.lobe_cones
@@ -118,7 +154,7 @@ class ConePaths(EdgePaths):
         self.stage = self.strong_stage
         self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
         if bounce == 0 and self.shares is not None:
-            begin_shares(
+            begin_world_shares(
                 lobes, now.throughput, self.frames.position, self.flat, np.float32(FLATNESS), np.int64(self.first),
                 np.int64(n), self.shares,
             )  # fmt: skip
@@ -159,7 +195,8 @@ class ConePaths(EdgePaths):
         )  # fmt: skip
         radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
         self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
-        self.shares.rays[self.first : self.first + n] = asked[:n]
+        own = slice(self.first, self.first + n)
+        self.shares.rays[own] = self.shares.worth[own] = asked[:n]
         take_light(radiance, before, np.int64(self.first), np.int64(n), self.shares)
 
     def _look_at_world(self, now, lit, kept, more: np.ndarray) -> None:
@@ -189,13 +226,15 @@ class ConePaths(EdgePaths):
         return super().settle(count)
 
     def finish_tile(self, count: int) -> None:
-        """Radiance of the tile's fragments 0..count to space.light, with what they receive of the world together."""
+        """Radiance of the tile's fragments 0..count to space.light, with what they receive together."""
         super().finish_tile(count)
-        if self.shares is None:
-            return
         space = self.space
         f, image = space.fragments, space.image
-        share_light(f.x, f.y, image.subpixels, image.reach, self.shares, count, space.used.shape, space.light)
+        for turn, shares in ((TURN_OF_WORLD, self.shares), (TURN_OF_LOBE, self.lobe_shares)):
+            if shares is not None and len(shares.rays):
+                share_light(
+                    f.x, f.y, image.subpixels, image.reach, turn, shares, count, space.used.shape, space.light
+                )
 
     def sample_lights(self, m: int, turn=None):
         """Light samples: of the world and what shines, lobes see their part themselves (share_with_lobes)."""
@@ -312,7 +351,8 @@ class ConePaths(EdgePaths):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self.none_small if self.small is None else self.small, self.limit,
+            self.integrated, self.none_small if self.small is None else self.small, self.limit, self.lobe_shares,
+            np.int64(self.first),
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
@@ -324,6 +364,11 @@ class ConePaths(EdgePaths):
 
     def meet(self, tile, now, then, n: int, bounce: int) -> int:
         self.then = then
+        if bounce == 1 and len(self.lobe_rays):
+            hits = self.hits
+            count_lobe_rays(
+                now.slot, hits.triangle, hits.t, np.int64(n), np.int64(ROOM), self.lobe_rays, self.lobe_near
+            )
         return super().meet(tile, now, then, n, bounce)
 
     def _bounce(self, tile, now, then, n: int, bounce: int) -> int:

@@ -139,7 +139,7 @@ class FragmentPaths(Workspace):
         space = self.space
         image, f = space.image, space.fragments
         now, then = self.queues
-        if self.held + count > len(self.every.radiance):
+        if self.held + count > self.size:
             self._settle_paths()
         if self.fresh.count > BATCH:
             self._follow_pool(self.fresh, FEW)
@@ -199,6 +199,7 @@ class FragmentPaths(Workspace):
         self.first, self.count = first, count
         n = self.meet(self.tile, now, then, count, 0)
         then.slot[:n] += base
+        self.leave(then, n, base, count)
         self.samples = self.every
         self.held += count
         self.pieces.append((first, base, count))
@@ -206,6 +207,9 @@ class FragmentPaths(Workspace):
             self._follow(then, now, n, 1, FEW)
         else:
             self.fresh.take(then, self.waiting_cones(), n, 1)
+
+    def leave(self, then, n: int, base: int, count: int) -> None:
+        """Paths 0..n go on from `count` first surfaces, whose samples begin at `base`: a place to tell them apart."""
 
     def waiting_cones(self):
         """LobeCones of the paths that go on, or None."""
@@ -234,12 +238,13 @@ class FragmentPaths(Workspace):
         """Follow all paths to their ends, and give the fragments what they have brought."""
         self._follow_pool(self.fresh, FEW)
         self._follow_pool(self.tail, 0)
-        light = self.space.light
         for first, base, count in self.pieces:
-            np.copyto(
-                light[first : first + count], self.every.radiance[base : base + count], casting="same_kind"
-            )
+            self.receive(first, base, count)
         self._forget()
+
+    def receive(self, first: int, base: int, count: int) -> None:
+        """Give the fragments first..first + count what the samples from `base` on have found."""
+        self.space.light[first : first + count] = self.every.radiance[base : base + count]
 
     def finish_tile(self, count: int) -> None:
         """Radiance of the tile's fragments 0..count, which have all been traced, to space.light."""

@@ -20,7 +20,7 @@ from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.looks import look_where_seen
 from pointmr_engine.multires.merge import choose_seen, merge_fragments
 from pointmr_engine.multires.opacity_micromap import with_micromap
-from pointmr_engine.multires.world_sharing import REACH
+from pointmr_engine.multires.light_sharing import REACH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -58,7 +58,7 @@ class TracedImage(Image):
         super().__init__(sampler, scene, stage.camera, primary_settings(settings, alpha))
         side = math.isqrt(settings.raytrace.cones)
         # pixels about the tile that its own share light with: taps of no weight
-        self.beside = math.ceil(REACH / side) if self.light is not None and self.light.shares_world else 0
+        self.beside = math.ceil(REACH / side) if self.light is not None and self.light.shares else 0
         self.taps = np.pad(self.taps, self.beside * self.subpixels)
         self.apron += self.beside
         self.cone = self.subpixels // side  # subpixels per side of a cone

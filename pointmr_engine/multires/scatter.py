@@ -13,6 +13,7 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
+from pointmr_engine.multires.light_sharing import add_lobe, clear_share
 from pointmr_engine.multires.lobe_rays import draw_direction, takes_ray
 from pointmr_engine.multires.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, WITHIN_LOBE, lobe_pdf
@@ -193,16 +194,21 @@ def _no_cone(record, m, alpha):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, limit):  # fmt: skip
+                  record, integrated, small, limit, shares, first_share):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
     transparency is a path without a cone of its own: the ray goes on. integrated (N, L) bool: lobes whose cones
     find all that shines on them, without chance. small (N,) bool: points that weigh too little to be worth cones.
-    limit: roughness above which lobes take rays.
+    limit: roughness above which lobes take rays. shares: what rays of the first surfaces' lobes find is shared by
+    these rows, from first_share on (none: not at all).
     """
     m = np.int64(0)
+    sharing = bounce == 0 and len(shares.worth) > 0
     for k in range(n):
+        if sharing:
+            p = frames.position
+            clear_share(shares, first_share + k, p[k, 0], p[k, 1], p[k, 2])
         if not alive[k]:
             continue
         crowded = m + 4 * np.int64(lobes.count[k]) + (n - k) > room
@@ -241,11 +247,14 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             integrated[k, j] = False
             r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
             rough = mean_roughness(lobes, k, j)
+            passed = total if chosen else _largest(r)
+            ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, passed, small[k], strong)
+            if sharing and ray and _largest(r) > 0.0:
+                add_lobe(shares, first_share + k, r, load3(lobes.data, k, j, NORMAL), rough)
             f = _branch(chosen, _largest(r), before, target, total)
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
-                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(r), small[k], strong)
                 integrated[k, j] = (
                     bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
                 )

@@ -1,9 +1,10 @@
-"""What the world sends to a surface, shared between its fragments: each asks with few rays, and all hear the answers.
+"""Light that fragments share: each asks with few rays, and all hear the answers.
 
-Light that comes from everywhere changes slowly along a surface, by about as much as one moves against the distance of
-what hides it (the split-sphere model: Ward, Rubinstein, Clear 1988, "A Ray Tracing Solution for Diffuse
-Interreflection"). So fragments within a few cones take the mean of what arrives at each other, as far as that model
-allows: all of it in the open, none of it in a corner or in foliage.
+What the world sends to a surface, and what a rough lobe sees, changes slowly along the surface: by about as much as one
+moves against the distance of what is met, and as the surface turns (the split-sphere model: Ward, Rubinstein, Clear
+1988, "A Ray Tracing Solution for Diffuse Interreflection"); for a lobe, against its width. So fragments within a few
+cones take the mean of what arrives at each other, as far as that model allows: all of it in the open, none of it in a
+corner or in foliage.
 """
 
 from __future__ import annotations
@@ -18,16 +19,18 @@ from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TR
 
 REACH = 2.0  # cones: how far apart fragments share
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
+# change by the root of 1 less the cosine of normals, about the angle over the root of 2: mirrored, directions turn twice
+TURN_OF_WORLD, TURN_OF_LOBE = 1.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
 # Rows of the table of what fragments tell each other, by channel or axis: place in the image, what they have met, place
-# and normal in the world, 1 where they reflect a channel, and what arrives of it.
-AT_X, AT_Y, NEARNESS, RAYS, PLACE, FACING, HEARD, ARRIVED = 0, 1, 2, 3, 4, 7, 10, 13
-COLUMNS = 16
+# and normal in the world, 1 where they reflect a channel, what arrives of it, how much that counts, and the lobe's width.
+AT_X, AT_Y, NEARNESS, RAYS, PLACE, FACING, HEARD, ARRIVED, WORTH, WIDTH = 0, 1, 2, 3, 4, 7, 10, 13, 16, 17
+COLUMNS = 18
 
 
-class WorldShares(NamedTuple):
-    """What the F fragments of a tile received of the world; world space."""
+class Shares(NamedTuple):
+    """What the F fragments of a tile received of one kind of light; world space."""
 
     light: np.ndarray  # (F, 3) float32, as the surface reflects it
     albedo: np.ndarray  # (F, 3) float32: what it reflects; 0: does not share
@@ -35,23 +38,48 @@ class WorldShares(NamedTuple):
     normal: np.ndarray  # (F, 3) float32
     rays: np.ndarray  # (F,) float32: how many asked
     nearness: np.ndarray  # (F,) float32: sum of 1 / distance of what they met
+    worth: np.ndarray  # (F,) float32: how much what arrived counts
+    width: np.ndarray  # (F,) float32: angle from which light arrives, against a hemisphere's
 
 
-def allocate_shares(n: int) -> WorldShares:
+def allocate_shares(n: int) -> Shares:
     """Room for n fragments, undefined."""
     f = np.float32
-    return WorldShares(
+    return Shares(
         np.empty((n, 3), f),
         np.empty((n, 3), f),
         np.empty((n, 3)),
         np.empty((n, 3), f),
         np.empty(n, f),
         np.empty(n, f),
+        np.empty(n, f),
+        np.empty(n, f),
     )
 
 
+@device
+def clear_share(shares: Shares, row, x, y, z):
+    """Row of a fragment at (x, y, z) that has nothing to share, and has received nothing."""
+    shares.rays[row] = shares.nearness[row] = shares.worth[row] = shares.width[row] = np.float32(0)
+    shares.position[row, 0], shares.position[row, 1], shares.position[row, 2] = x, y, z
+    for c in range(3):
+        shares.light[row, c] = shares.albedo[row, c] = shares.normal[row, c] = np.float32(0)
+
+
+@device
+def add_lobe(shares: Shares, row, passed, normal, rough):
+    """A lobe that sends rays becomes part of what a fragment shares. passed: rgb of its albedo times throughput."""
+    if shares.width[row] == 0 or 2.0 * rough < shares.width[row]:
+        shares.width[row] = 2.0 * rough
+        for c in range(3):
+            shares.normal[row, c] = normal[c]
+    for c in range(3):
+        shares.albedo[row, c] += np.float32(passed[c])
+    shares.worth[row] += np.float32(max(passed[0], passed[1], passed[2]))
+
+
 @uncounted
-def begin_shares(lobes, throughput, position, flat, least_flat, first, count, shares):
+def begin_world_shares(lobes, throughput, position, flat, least_flat, first, count, shares):
     """Rows first..first + count of `shares`: what the points 0..count reflect diffusely, nothing received yet.
 
     flat (N,) float32: pieces less flat than least_flat have no normal of their own, and do not share; nor does what
@@ -59,12 +87,10 @@ def begin_shares(lobes, throughput, position, flat, least_flat, first, count, sh
     """
     for k in range(count):
         row = first + k
-        shares.rays[row] = shares.nearness[row] = np.float32(0)
+        clear_share(shares, row, position[k, 0], position[k, 1], position[k, 2])
+        shares.width[row] = np.float32(1)
         single = flat[k] >= least_flat
         normal = np.int64(-1)
-        for c in range(3):
-            shares.light[row, c] = shares.albedo[row, c] = np.float32(0)
-            shares.position[row, c] = position[k, c]
         for j in range(np.int64(lobes.count[k])):
             base = lobes.kind[k, j] & KIND_MASK
             if base > TRANSLUCENT:
@@ -80,6 +106,17 @@ def begin_shares(lobes, throughput, position, flat, least_flat, first, count, sh
                 shares.normal[row, c] = lobes.data[k, normal, NORMAL + c]
             if not single:
                 shares.albedo[row, c] = np.float32(0)
+
+
+@uncounted
+def count_lobe_rays(slot, triangle, t, count, base, rays, near):
+    """What rays of lobes met first, by their slots: paths 0..count of slots from `base` on, at t; rays, near (N,)."""
+    for i in range(count):
+        k = np.int64(slot[i]) - base
+        if k >= 0:
+            rays[k] += np.float32(1)
+            if triangle[i] != -1 and t[i] > 0.0:
+                near[k] += np.float32(1.0 / t[i])
 
 
 @uncounted
@@ -144,6 +181,7 @@ def _gather(x, y, shares, order, total, table):
         k = np.int64(order[s])
         table[AT_X, s], table[AT_Y, s] = x[k], y[k]
         table[NEARNESS, s], table[RAYS, s] = shares.nearness[k], shares.rays[k]
+        table[WORTH, s], table[WIDTH, s] = shares.worth[k], shares.width[k]
         for c in range(3):
             albedo = np.float64(shares.albedo[k, c])
             table[PLACE + c, s], table[FACING + c, s] = shares.position[k, c], shares.normal[k, c]
@@ -163,19 +201,22 @@ def _met_about(table, first, end, x, y, reach):
 
 
 @summed
-def _received_about(table, first, end, s, reach, near, sums):
+def _received_about(table, first, end, s, reach, near, turn, sums):
     """Add to sums (6,) the weights and the weighted light of fragments first..end about s, as far as they share."""
     x, y = table[AT_X, s], table[AT_Y, s]
     px, py, pz = table[PLACE, s], table[PLACE + 1, s], table[PLACE + 2, s]
     nx, ny, nz = table[FACING, s], table[FACING + 1, s], table[FACING + 2, s]
+    width = table[WIDTH, s]
+    narrow = 1.0 / max(ERROR * width, 1e-12)
     u, v, w, r, g, b = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for t in range(first, end):
         dx, dy, dz = table[PLACE, t] - px, table[PLACE + 1, t] - py, table[PLACE + 2, t] - pz
         facing = table[FACING, t] * nx + table[FACING + 1, t] * ny + table[FACING + 2, t] * nz
-        change = math.sqrt(dx * dx + dy * dy + dz * dz) * near + math.sqrt(max(1.0 - facing, 0.0))
+        change = math.sqrt(dx * dx + dy * dy + dz * dz) * near + turn * math.sqrt(max(1.0 - facing, 0.0))
+        change += abs(table[WIDTH, t] - width)
         within = (abs(table[AT_X, t] - x) <= reach) & (abs(table[AT_Y, t] - y) <= reach)
-        weight = max(1.0 - change / ERROR, 0.0) if within else 0.0
-        weight = (1.0 if t == s else weight) * table[RAYS, t]
+        weight = max(1.0 - change * narrow, 0.0) if within else 0.0
+        weight = (1.0 if t == s else weight) * table[WORTH, t]
         u += weight * table[HEARD, t]
         v += weight * table[HEARD + 1, t]
         w += weight * table[HEARD + 2, t]
@@ -190,20 +231,21 @@ def _received_about(table, first, end, s, reach, near, sums):
     sums[5] += b
 
 
-def share_light(x, y, subpixels: int, reach: float, shares: WorldShares, count: int, shape, out) -> None:
+def share_light(x, y, subpixels: int, reach: float, turn: float, shares: Shares, count: int, shape, out) -> None:
     """Add what fragments 0..count of a tile of `shape` pixels (rows, columns) share to out (F, 3) float32.
 
-    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share.
+    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; turn: TURN_OF_WORLD or _LOBE.
     """
     start, order = np.empty((shape[0], shape[1] + 1), np.int32), np.empty(count, np.int32)
     table, n = np.empty((COLUMNS, count)), np.int64(count)
     total = _by_pixel(x, y, np.int64(subpixels), shares, n, start, order)
     _gather(x, y, shares, order, np.int64(total), table)
-    _add_received(shares, start, order, table, np.int64(subpixels), np.float64(reach), np.empty(6), out)
+    _add_received(shares, start, order, table, np.int64(subpixels), np.float64(reach), np.float64(turn),
+                  np.empty(6), out)  # fmt: skip
 
 
 @uncounted
-def _add_received(shares, start, order, table, subpixels, reach, sums, out):
+def _add_received(shares, start, order, table, subpixels, reach, turn, sums, out):
     """Add what the fragments of `table` receive together to out; sums (6,) float64 to work in."""
     rows, columns = start.shape[0], start.shape[1] - 1
     wide = np.int64(math.ceil(reach / subpixels))
@@ -219,7 +261,7 @@ def _add_received(shares, start, order, table, subpixels, reach, sums, out):
                 near /= max(rays, 1.0)
                 sums[:] = 0.0
                 for q in range(low, high):
-                    _received_about(table, start[q, left], start[q, right], s, reach, near, sums)
+                    _received_about(table, start[q, left], start[q, right], s, reach, near, turn, sums)
                 k = np.int64(order[s])
                 for c in range(3):
                     if sums[c] > 0.0 and shares.albedo[k, c] > DIM:
