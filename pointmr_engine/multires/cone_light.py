@@ -51,6 +51,7 @@ class ConeLight:
         dear = 2 if stage.needs.transparent_shadows else 1
         self.worth, self.world_rays = WORTH / dear, WORLD_RAYS // dear
         self.shares_world = (WORLD, 0) in self.rays.turns
+        self.shares_lamps = None in self.rays.turns
         self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0
         of = arrays.lamps.source
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
@@ -62,7 +63,7 @@ class ConeLight:
     @property
     def shares(self) -> bool:
         """Whether fragments hear what their neighbours receive."""
-        return self.shares_world or self.shares_lobes
+        return self.shares_world or self.shares_lamps or self.shares_lobes
 
     def prefiltered(self) -> tuple:
         """What shadow cones walk and what lobes' cones walk, made when the first cone asks.

@@ -11,42 +11,29 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals
 from pointmr_engine.forward.world_light import world_lobe
-from pointmr_engine.multires.clumps import FLATNESS, ratios, restore_normals, swap_normals
+from pointmr_engine.multires.clumps import ratios, restore_normals, swap_normals
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
-from pointmr_engine.multires.light_sharing import (
-    TURN_OF_LOBE,
-    TURN_OF_WORLD,
-    allocate_shares,
-    begin_world_shares,
-    count_lobe_rays,
-    count_near,
-    share_light,
-    take_light,
-)
 from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share_with_lobes
 from pointmr_engine.multires.lobe_view import (
-    WITHIN_LOBE,
     allocate_lobe_cones,
     follow_cones,
     thin_out,
     weigh_sub_rays,
 )
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
-from pointmr_engine.multires.shadow_edges import LARGE, EdgePaths
-from pointmr_engine.multires.world_rays import SUMS, first_rays, split_repeats, wanted_rays
+from pointmr_engine.multires.shadow_edges import LARGE
+from pointmr_engine.multires.sharing_paths import SharingPaths
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
-from pointmr_engine.raytracing.integrator import NEXT
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
 from pointmr_engine.raytracing.paths import SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
-from pointmr_engine.shading.points import RAY_REFLECTION
 
 _WEIGHTS = cell_weights()
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
@@ -57,14 +44,13 @@ MOST = 3  # fragments of a cone
 NO_SHADOWS = np.zeros((0, 0), np.float32)
 
 
-class ConePaths(EdgePaths):
+class ConePaths(SharingPaths):
     """One thread's paths by cones. light: ConeLight, what all threads share."""
 
     def __init__(self, stage, light):
-        super().__init__(light.stage(stage, light.rays), ROOM)
+        super().__init__(light.stage(stage, light.rays), light, ROOM)
         n = ROOM
         self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.lights)
-        self.light = light
         self.width = np.empty(n, np.float32)
         self.both = np.empty(n, np.bool_)
         self.received = np.zeros((n, 3), np.float32)
@@ -73,14 +59,6 @@ class ConePaths(EdgePaths):
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.ratios: dict = {}
-        self.small = None
-        self.shares, self.counts_near = None, False  # of the world
-        self.lobe_shares = allocate_shares(0)
-        self.lobe_rays, self.lobe_near = np.empty((2, n if light.shares_lobes else 0), np.float32)
-        if light.shares_lobes:  # rays of lobes that are shared bring their light to samples of their own
-            self.every = paths.allocate_samples(2 * n)
-        self.asked = np.zeros(n, np.int64)  # rays to the world
-        self.world_light = None  # (N,) float64 of fragments without what hides it, while it is asked
         self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
@@ -96,34 +74,6 @@ class ConePaths(EdgePaths):
         self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
         self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
         self.going = 0
-
-    def start_tile(self, space) -> None:
-        super().start_tile(space)
-        n = len(space.fragments.entry) if self.light.shares_world else 0
-        if n != (0 if self.shares is None else len(self.shares.rays)):
-            self.shares = allocate_shares(n) if n else None
-        n = len(space.fragments.entry) if self.light.shares_lobes else 0
-        if n != len(self.lobe_shares.rays):
-            self.lobe_shares = allocate_shares(n)
-
-    def leave(self, then, n: int, base: int, count: int) -> None:
-        """Rays of rough lobes go on with samples of their own, so that what they find can be shared."""
-        if not len(self.lobe_rays):
-            return
-        own = slice(base, base + count)
-        for column in self.every:
-            column[ROOM + base : ROOM + base + count] = column[own]
-        self.every.radiance[ROOM + base : ROOM + base + count] = 0.0
-        self.lobe_rays[own] = self.lobe_near[own] = 0.0
-        reflected = (then.state.kind[:n] & RAY_REFLECTION) != 0
-        then.slot[:n][reflected & (self.waiting_cones().alpha[:n] == WITHIN_LOBE)] += ROOM
-
-    def receive(self, first: int, base: int, count: int) -> None:
-        super().receive(first, base, count)
-        if len(self.lobe_rays):
-            to, of = slice(first, first + count), slice(base, base + count)
-            self.lobe_shares.light[to] = self.every.radiance[ROOM + base : ROOM + base + count]
-            self.lobe_shares.rays[to], self.lobe_shares.nearness[to] = self.lobe_rays[of], self.lobe_near[of]
 
     def waiting_cones(self):
         return self.lobe_cones
@@ -153,88 +103,13 @@ class ConePaths(EdgePaths):
             alive = alive & ~weak
         self.stage = self.strong_stage
         self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
-        if bounce == 0 and self.shares is not None:
-            begin_world_shares(
-                lobes, now.throughput, self.frames.position, self.flat, np.float32(FLATNESS), np.int64(self.first),
-                np.int64(n), self.shares,
-            )  # fmt: skip
+        if bounce == 0:
+            self.shared_light.begin(lobes, now.throughput, self.frames.position, self.flat, self.first, n)
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
         self.small = None
         if len(light.lamps.shape) and lobes.count[:n].any():
             self._wide_lamps(now, n)
-
-    def _look_at_light(self, now, m: int, turn) -> None:
-        if turn != (WORLD, 0):
-            super()._look_at_light(now, m, turn)
-            return
-        lit = self.lit_rows, self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u
-        kept = [a[:m].copy() for a in lit]
-        if self.small is None:  # behind first surfaces
-            self.asked[:] = self.light.world_rays
-            self._look_at_world(now, lit, kept, self.asked[kept[0]])
-        else:
-            self._look_as_worth(now, lit, kept)
-        for now_, then in zip(lit, kept, strict=True):
-            now_[:m] = then
-
-    def _look_as_worth(self, now, lit, kept) -> None:
-        """Ask the world as often as it is worth for each fragment; what arrives goes to those that share it."""
-        n, radiance, asked = self.count, self.samples.radiance, self.asked
-        subpixels = self.space.fragments.count[self.first : self.first + n]
-        before, whole = radiance[:n].copy(), np.float64(self.space.image.cone**2)
-        first_rays(subpixels, whole, np.int64(n), asked)
-        self.world_light = np.zeros(n)
-        self._look_at_world(now, lit, kept, asked[kept[0]])
-        open_light, self.world_light = self.world_light, None
-        arrived, done = (radiance[:n] - before).sum(1), asked[:n].copy()
-        rows, columns = self.space.used.shape
-        wanted_rays(
-            self.pixel, open_light, arrived, before.sum(1), subpixels, whole,
-            np.float64(self.light.worth), np.int64(n), np.empty((rows, columns, SUMS)), asked,
-        )  # fmt: skip
-        radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
-        self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
-        own = slice(self.first, self.first + n)
-        self.shares.rays[own] = self.shares.worth[own] = asked[:n]
-        take_light(radiance, before, np.int64(self.first), np.int64(n), self.shares)
-
-    def _look_at_world(self, now, lit, kept, more: np.ndarray) -> None:
-        """The last `more` (m,) of the rays that are `asked` of each of the points `kept`."""
-        for part in split_repeats(more, len(self.lit_rows)):
-            times = more[part]
-            total = int(times.sum())
-            if not total:
-                continue
-            for target, values in zip(lit, kept, strict=True):
-                target[:total] = np.repeat(values[part], times, 0)
-            number = np.arange(total) + np.repeat(self.asked[kept[0][part]] - np.cumsum(times), times)
-            u = self.lit_u[:total]
-            u += number[:, None] * NEXT
-            u -= np.floor(u)
-            self.counts_near = self.small is not None
-            super()._look_at_light(now, total, (WORLD, 0))
-            self.counts_near = False
-
-    def settle(self, count: int) -> int:
-        if self.counts_near:
-            met = self.shadow_hits
-            count_near(
-                self.shadows.source, met.triangle, met.t, np.int64(count), np.int64(self.first), self.shares
-            )
-            self.counts_near = False  # those that pass a surface have been counted
-        return super().settle(count)
-
-    def finish_tile(self, count: int) -> None:
-        """Radiance of the tile's fragments 0..count to space.light, with what they receive together."""
-        super().finish_tile(count)
-        space = self.space
-        f, image = space.fragments, space.image
-        for turn, shares in ((TURN_OF_WORLD, self.shares), (TURN_OF_LOBE, self.lobe_shares)):
-            if shares is not None and len(shares.rays):
-                share_light(
-                    f.x, f.y, image.subpixels, image.reach, turn, shares, count, space.used.shape, space.light
-                )
 
     def sample_lights(self, m: int, turn=None):
         """Light samples: of the world and what shines, lobes see their part themselves (share_with_lobes)."""
@@ -259,6 +134,8 @@ class ConePaths(EdgePaths):
                 self.lobes, self.view.incoming, self.lit_rows, chosen, pdf, self.light.lights.arrays.lamps.mis,
                 glints, self.integrated, np.int64(m), self.shared,
             )  # fmt: skip
+        if self.asks == LAMP:
+            self.shared_light.of_lamps(chosen, self.lit_rows[:m])
         count = super().connect(now, m, chosen)
         if self.world_light is not None:
             light = self.shadows.light[:count].sum(1)
@@ -351,8 +228,8 @@ class ConePaths(EdgePaths):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self.none_small if self.small is None else self.small, self.limit, self.lobe_shares,
-            np.int64(self.first),
+            self.integrated, self.none_small if self.small is None else self.small, self.limit,
+            self.shared_light.lobes, np.int64(self.first),
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
@@ -364,11 +241,8 @@ class ConePaths(EdgePaths):
 
     def meet(self, tile, now, then, n: int, bounce: int) -> int:
         self.then = then
-        if bounce == 1 and len(self.lobe_rays):
-            hits = self.hits
-            count_lobe_rays(
-                now.slot, hits.triangle, hits.t, np.int64(n), np.int64(ROOM), self.lobe_rays, self.lobe_near
-            )
+        if bounce == 1 and self.light.shares_lobes:
+            self.shared_light.count_lobe_rays(now.slot, self.hits, n)
         return super().meet(tile, now, then, n, bounce)
 
     def _bounce(self, tile, now, then, n: int, bounce: int) -> int:

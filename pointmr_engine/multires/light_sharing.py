@@ -19,12 +19,12 @@ from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TR
 
 REACH = 2.0  # cones: how far apart fragments share
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
-# change by the root of 1 less the cosine of normals, about the angle over the root of 2: mirrored, directions turn twice
+# change with the root of 1 less the cosine of normals (their angle over 1.4); mirrored, light turns twice as far
 TURN_OF_WORLD, TURN_OF_LOBE = 1.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
 # Rows of the table of what fragments tell each other, by channel or axis: place in the image, what they have met, place
-# and normal in the world, 1 where they reflect a channel, what arrives of it, how much that counts, and the lobe's width.
+# and normal in the world, 1 where they reflect a channel, what arrives of it, how much that counts, and the angle.
 AT_X, AT_Y, NEARNESS, RAYS, PLACE, FACING, HEARD, ARRIVED, WORTH, WIDTH = 0, 1, 2, 3, 4, 7, 10, 13, 16, 17
 COLUMNS = 18
 
@@ -79,7 +79,7 @@ def add_lobe(shares: Shares, row, passed, normal, rough):
 
 
 @uncounted
-def begin_world_shares(lobes, throughput, position, flat, least_flat, first, count, shares):
+def begin_shares(lobes, throughput, position, flat, least_flat, first, count, shares):
     """Rows first..first + count of `shares`: what the points 0..count reflect diffusely, nothing received yet.
 
     flat (N,) float32: pieces less flat than least_flat have no normal of their own, and do not share; nor does what
@@ -88,7 +88,7 @@ def begin_world_shares(lobes, throughput, position, flat, least_flat, first, cou
     for k in range(count):
         row = first + k
         clear_share(shares, row, position[k, 0], position[k, 1], position[k, 2])
-        shares.width[row] = np.float32(1)
+        shares.width[row] = shares.worth[row] = np.float32(1)
         single = flat[k] >= least_flat
         normal = np.int64(-1)
         for j in range(np.int64(lobes.count[k])):
@@ -125,6 +125,30 @@ def count_near(source, triangle, t, count, first, shares):
     for i in range(count):
         if triangle[i] != -1 and t[i] > 0.0:
             shares.nearness[first + np.int64(source[i])] += np.float32(1.0 / t[i])
+
+
+@uncounted
+def count_blocked(source, triangle, t, width, count, first, shares):
+    """Count the shadow rays 0..count of fragments first + source: how fast their light changes along the surface.
+
+    width (N,) float64 by source: angle from which it comes, against a hemisphere's.
+    """
+    for i in range(count):
+        k = np.int64(source[i])
+        shares.rays[first + k] += np.float32(1)
+        if triangle[i] != -1 and t[i] > 0.0:
+            shares.nearness[first + k] += np.float32(shares.width[first + k] / (t[i] * width[k]))
+
+
+@uncounted
+def take_reflected(light, part, source, triangle, count, first, shares):
+    """Move `part` (N, 3) of the light of shadow rays 0..count that nothing stops to the fragments that share it."""
+    for i in range(count):
+        row = first + np.int64(source[i])
+        if triangle[i] == -1 and _shares(shares, row):
+            for c in range(3):
+                shares.light[row, c] += part[i, c]
+                light[i, c] -= part[i, c]
 
 
 @device
@@ -231,7 +255,9 @@ def _received_about(table, first, end, s, reach, near, turn, sums):
     sums[5] += b
 
 
-def share_light(x, y, subpixels: int, reach: float, turn: float, shares: Shares, count: int, shape, out) -> None:
+def share_light(
+    x, y, subpixels: int, reach: float, turn: float, shares: Shares, count: int, shape, out
+) -> None:
     """Add what fragments 0..count of a tile of `shape` pixels (rows, columns) share to out (F, 3) float32.
 
     x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; turn: TURN_OF_WORLD or _LOBE.

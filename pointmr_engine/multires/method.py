@@ -17,10 +17,10 @@ from pointmr_engine.forward.tiles import TILE, Workspace
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
+from pointmr_engine.multires.light_sharing import REACH
 from pointmr_engine.multires.looks import look_where_seen
 from pointmr_engine.multires.merge import choose_seen, merge_fragments
 from pointmr_engine.multires.opacity_micromap import with_micromap
-from pointmr_engine.multires.light_sharing import REACH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 

@@ -29,6 +29,8 @@ class ShadowRays(NamedTuple):
 
     rays: Rays
     light: np.ndarray  # (N, 3) float64
+    matt: np.ndarray  # (N, 3) float64: what diffuse lobes have of it ...
+    glossy: np.ndarray  # (N, 3) float64: ... and those that reflect otherwise
     slot: np.ndarray  # (N,) int32
     whole: np.ndarray  # (N,) float64: the largest channel of what it would have added before it met a surface
     passed: np.ndarray  # (N,) int32: transparent surfaces so far
@@ -38,7 +40,8 @@ class ShadowRays(NamedTuple):
 def allocate_shadow_rays(n: int) -> ShadowRays:
     """Room for n shadow rays."""
     slot, passed, source = (np.zeros(n, np.int32) for _ in range(3))
-    return ShadowRays(allocate_rays(n), np.zeros((n, 3)), slot, np.zeros(n), passed, source)
+    light, matt, glossy = np.zeros((3, n, 3))
+    return ShadowRays(allocate_rays(n), light, matt, glossy, slot, np.zeros(n), passed, source)
 
 
 @uncounted
@@ -72,6 +75,13 @@ def choose_points(
         u[m, 0], u[m, 1], u[m, 2] = u0, u1, u2
         m += 1
     return m
+
+
+@device
+def _split(out, n, light, some, whole, seen):
+    """Row n of out: what lobes that reflect `some` of `whole` have of the light, if they are `seen` by it."""
+    for a in range(3):
+        out[n, a] = light[a] * some[a] / whole[a] if seen and whole[a] != 0.0 else 0.0
 
 
 @uncounted
@@ -109,6 +119,8 @@ def connect(
         limit = limits.clamp_direct if paths.state.depth[k] == 0 else limits.clamp_indirect
         r, g, b = clamp_light(r, g, b, limit)
         out.light[n, 0], out.light[n, 1], out.light[n, 2] = r, g, b
+        _split(out.matt, n, (r, g, b), diffuse, (f0, f1, f2), seen & DIFFUSE)
+        _split(out.glossy, n, (r, g, b), glossy, (f0, f1, f2), seen & GLOSSY)
         out.slot[n] = paths.slot[k]
         out.whole[n] = max(abs(r), abs(g), abs(b))
         out.source[n] = k
@@ -171,7 +183,12 @@ def dim(shadows: ShadowRays, samples: Samples, hits: Hits, frames, waiting, m, s
             if not left > least * _chance(shadows, samples, i):
                 continue
             r, g, b = r * (least / left), g * (least / left), b * (least / left)
-        shadows.light[n, 0], shadows.light[n, 1], shadows.light[n, 2] = r, g, b
+        for a, now in enumerate((r, g, b)):
+            before = shadows.light[i, a]
+            share_left = now / before if before != 0.0 else 0.0
+            shadows.matt[n, a] = shadows.matt[i, a] * share_left
+            shadows.glossy[n, a] = shadows.glossy[i, a] * share_left
+            shadows.light[n, a] = now
         shadows.slot[n] = shadows.slot[i]
         shadows.whole[n] = shadows.whole[i]
         shadows.source[n] = shadows.source[i]

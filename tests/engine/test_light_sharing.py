@@ -5,7 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointmr_engine.multires.world_sharing import REACH, allocate_shares, share_light
+from pointmr_engine.multires.light_sharing import (
+    REACH,
+    TURN_OF_WORLD,
+    allocate_shares,
+    share_light,
+)
 
 SUBPIXELS = 8
 
@@ -20,14 +25,15 @@ def shares_of(side, rng, spacing=0.1):
     shares.albedo[:] = rng.uniform(0.1, 0.9, (n, 3))
     shares.rays[:] = 2
     shares.nearness[:] = 0
+    shares.worth[:] = shares.width[:] = 1
     shares.light[:] = shares.albedo
     places = ((a + 0.5) * SUBPIXELS / 2 for a in (x, y))
     return shares, *(a.astype(np.float32) for a in places)
 
 
-def shared(shares, x, y, side):
+def shared(shares, x, y, side, turn=TURN_OF_WORLD):
     out = np.zeros((len(x), 3), np.float32)
-    share_light(x, y, SUBPIXELS, REACH * SUBPIXELS, shares, len(x), (side, side), out)
+    share_light(x, y, SUBPIXELS, REACH * SUBPIXELS, turn, shares, len(x), (side, side), out)
     return out
 
 

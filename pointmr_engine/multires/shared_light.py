@@ -1,0 +1,134 @@
+"""What a thread's fragments receive together: light of the world, of lamps that rays ask for, and what rays in rough
+lobes find. Each kind is gathered by itself, for each changes along a surface in its own way (light_sharing).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.multires.clumps import FLATNESS
+from pointmr_engine.multires.light_sharing import (
+    TURN_OF_LOBE,
+    TURN_OF_WORLD,
+    allocate_shares,
+    begin_shares,
+    count_blocked,
+    count_lobe_rays,
+    count_near,
+    share_light,
+    take_light,
+    take_reflected,
+)
+from pointmr_engine.raytracing.lights import LAMP
+
+POINT_WIDTH = 0.01  # of light from one direction: nothing is as sharp as it in an image
+
+
+class SharedLight:
+    """One thread's shares. Rows are the tile's fragments; a batch is its fragments first..first + n.
+
+    world, lamps, lobes: Shares, empty where there is nothing of the kind. `room`: samples of fragments under way at
+    once; rays that lobes share bring their light to samples of their own, `room` rows behind those of their fragments.
+    """
+
+    def __init__(self, light, room: int):
+        self.has_world, self.has_lamps, self.has_lobes = (
+            light.shares_world, light.shares_lamps, light.shares_lobes
+        )  # fmt: skip
+        self.room = room
+        self.world = self.lamps = self.lobes = allocate_shares(0)
+        self.lobe_rays, self.lobe_near = np.zeros((2, room if self.has_lobes else 0), np.float32)
+        self.lamp_width = np.ones(room)
+        self.mis = light.lights.arrays.lamps.mis
+
+    def start_tile(self, fragments: int) -> None:
+        """Room for the fragments of a tile."""
+        if fragments == max(len(self.world.rays), len(self.lamps.rays), len(self.lobes.rays)):
+            return
+        if self.has_world:
+            self.world = allocate_shares(fragments)
+        if self.has_lamps:
+            self.lamps = allocate_shares(fragments)
+        if self.has_lobes:
+            self.lobes = allocate_shares(fragments)
+
+    def begin(self, lobes, throughput, position, flat, first: int, n: int) -> None:
+        """The fragments of a batch have received nothing of the world and of lamps. Lobes begin as they scatter."""
+        for shares in (self.world, self.lamps):
+            if len(shares.rays):
+                begin_shares(
+                    lobes,
+                    throughput,
+                    position,
+                    flat,
+                    np.float32(FLATNESS),
+                    np.int64(first),
+                    np.int64(n),
+                    shares,
+                )
+
+    def of_lamps(self, chosen, rows: np.ndarray) -> None:
+        """Remember from how wide an angle the light of samples `chosen` comes, for the batch's points `rows`.
+
+        Without knowing how large each light is: the solid angle that a sample stands for is that of a light, over the
+        chance that the light was chosen, which the number of samples makes up for.
+        """
+        width = np.sqrt(1.0 / (2.0 * math.pi * np.maximum(chosen.pdf, 1e-12)))
+        lamps = np.flatnonzero(chosen.kind == LAMP)
+        width[lamps[~self.mis[chosen.index[lamps]]]] = 0.0
+        self.lamp_width[rows] = np.clip(width, POINT_WIDTH, 1.0)
+
+    def count_world_rays(self, shadows, hits, count: int, first: int) -> None:
+        """Note how near things are that rays 0..count to the world met."""
+        count_near(shadows.source, hits.triangle, hits.t, np.int64(count), np.int64(first), self.world)
+
+    def take_world(self, radiance, before, rays: np.ndarray, first: int) -> None:
+        """What a batch's radiance has gained since `before` is shared; rays (n,): how many brought it."""
+        own = slice(first, first + len(rays))
+        self.world.rays[own] = self.world.worth[own] = rays
+        take_light(radiance, before, np.int64(first), np.int64(len(rays)), self.world)
+
+    def take_lamps(self, shadows, hits, count: int, first: int, counts: bool) -> None:
+        """What shadow rays 0..count bring that nothing stops is shared; `counts`: these rays begin."""
+        n, at = np.int64(count), np.int64(first)
+        for shares, part in ((self.lamps, shadows.matt), (self.lobes, shadows.glossy)):
+            if not len(shares.rays):
+                continue
+            if counts:
+                count_blocked(shadows.source, hits.triangle, hits.t, self.lamp_width, n, at, shares)
+            take_reflected(shadows.light, part, shadows.source, hits.triangle, n, at, shares)
+
+    def separate(self, samples, slots: np.ndarray, shared: np.ndarray, base: int, count: int) -> None:
+        """Paths with slots (n,) that are `shared` (n,) bool get samples of their own, copies of base..base + count."""
+        own, copies = slice(base, base + count), slice(self.room + base, self.room + base + count)
+        for column in samples:
+            column[copies] = column[own]
+        samples.radiance[copies] = 0.0
+        self.lobe_rays[own] = self.lobe_near[own] = 0.0
+        slots[shared] += self.room
+
+    def count_lobe_rays(self, slots, hits, n: int) -> None:
+        """Note what paths 0..n with samples of their own met first."""
+        count_lobe_rays(
+            slots, hits.triangle, hits.t, np.int64(n), np.int64(self.room), self.lobe_rays, self.lobe_near
+        )
+
+    def take_lobes(self, samples, first: int, base: int, count: int) -> None:
+        """What the rays of fragments first..first + count have found is shared; their samples begin at `base`."""
+        to, own = slice(first, first + count), slice(base, base + count)
+        self.lobes.light[to] += samples.radiance[self.room + base : self.room + base + count]
+        self.lobes.rays[to] += self.lobe_rays[own]
+        self.lobes.nearness[to] += self.lobe_near[own]
+
+    def give(self, space, count: int) -> None:
+        """Add what the tile's fragments 0..count receive together to space.light."""
+        f, image = space.fragments, space.image
+        for turn, shares in (
+            (TURN_OF_WORLD, self.world), (TURN_OF_WORLD, self.lamps), (TURN_OF_LOBE, self.lobes)
+        ):  # fmt: skip
+            if len(shares.rays):
+                share_light(
+                    f.x, f.y, image.subpixels, image.reach, turn, shares, count, space.used.shape, space.light
+                )
