@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks import methods
 from benchmarks.methods import Method, read_exr
-from benchmarks.multires.scenes import SUBJECTS, source
+from benchmarks.multires.scenes import source, subject_of
 from benchmarks.processes import Worker
 from benchmarks.sources import text_hash
 
@@ -49,18 +49,19 @@ def seeds_of(samples: int) -> tuple[int, int]:
 
 def reference_files(subject: str, size, samples: int, cache: Path) -> list[Path]:
     """Where the seeds of a reference are kept: under a hash of the scene's content and of every setting."""
-    found, how = source(subject), SUBJECTS[subject].reference
+    found, how = source(subject), subject_of(subject).reference
     seeds, each = seeds_of(samples)
     settings = methods.SHARED | (methods.CYCLES_ONLY if how == "cycles" else {}) | found.overrides
     key = text_hash(methods.PROTOCOL, found.content, how, size, each, settings)
     return [
-        cache / f"{subject}-{size[0]}x{size[1]}-{how}{each}-{key}-{FIRST_SEED + k}.npy" for k in range(seeds)
+        cache / f"{subject.replace(':', '-')}-{size[0]}x{size[1]}-{how}{each}-{key}-{FIRST_SEED + k}.npy"
+        for k in range(seeds)
     ]
 
 
 def reference(subject: str, size, samples: int, threads: int, cache: Path, command: str) -> list[np.ndarray]:
     """Independent images of the reference, one a seed: from the cache, or rendered now. Raises WorkerError."""
-    how = SUBJECTS[subject].reference
+    how = subject_of(subject).reference
     each = seeds_of(samples)[1]
     files = reference_files(subject, size, samples, cache)
     missing = [f for f in files if not f.is_file()]

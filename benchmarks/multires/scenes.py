@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import real
-from benchmarks.multires import builders
+from benchmarks.multires import builders, variants
 from benchmarks.sources import Source, file_hash, find, scenes_folder, text_hash
 
 OWN = Path(__file__).resolve().parents[2] / "scenes_blend"
@@ -57,8 +57,19 @@ SUBJECTS: dict[str, Subject] = {
 _DRIVERS = {"gn_trees": "gn_trees", "hair": "armory_hair", "bmw27": "bmw27"}
 
 
+def subject_of(name: str) -> Subject:
+    """The subject of a name, of "fence" as of "fence:coverage"."""
+    return SUBJECTS[name.partition(":")[0]]
+
+
 def source(name: str) -> Source:
-    """The scene of a subject. Raises KeyError for an unknown name, FileNotFoundError for a file that is missing."""
+    """The scene of a subject, or of a variant of it ("fence:coverage", see variants.ABOUT).
+
+    Raises KeyError for an unknown name, FileNotFoundError for a file that is missing.
+    """
+    name, _, kind = name.partition(":")
+    if kind:
+        return variants.variant(source(name), kind)
     if name not in SUBJECTS:
         raise KeyError(f"'{name}' is not one of {', '.join(SUBJECTS)}")
     subject = SUBJECTS[name]

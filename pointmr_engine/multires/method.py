@@ -26,7 +26,7 @@ from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 SUBPIXELS = 8  # per side of a cone
 CELL = 4  # subpixels per side of the part of a cone in which fragments merge
-DENSITY = 4.0  # samples per cone's footprint
+DENSITY = 8.0  # samples per cone's footprint: half as many take 7 % less time, and bring a quarter more error
 FRAGMENTS = 4  # of a cone, about: what one ray of a fragment's lobes stands for
 
 

@@ -1,0 +1,68 @@
+"""A scene with parts of its light switched off, so that errors of one kind are seen alone (science of the bias)."""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import replace
+
+from benchmarks.sources import Source, text_hash
+
+ABOUT = {
+    "coverage": "every material shines in one colour: what is seen, and how much of it",
+    "shading": "lamps without shadows under a black world: what surfaces reflect",
+    "shadows": "lamps with their shadows under a black world: what of it arrives",
+    "all": "the scene as it is: the world's light and its occlusion, too",
+}
+
+
+def variant(source: Source, kind: str) -> Source:
+    """The source of the scene `kind`, of ABOUT, of another source. Raises KeyError for an unknown kind."""
+    change = {"coverage": shine, "shading": unshadow, "shadows": darken, "all": None}[kind]
+    if change is None:
+        return source
+
+    def load() -> None:
+        source.load()
+        change()
+
+    return replace(source, name=f"{source.name}:{kind}", load=load, content=text_hash(source.content, kind))
+
+
+def shine() -> None:
+    """Every material emits a colour of its own, and lights nothing; lamps are gone."""
+    import bpy
+
+    for item in [o for o in bpy.context.scene.objects if o.type == "LIGHT"]:
+        bpy.data.objects.remove(item)
+    for k, material in enumerate(sorted(bpy.data.materials, key=lambda m: m.name)):
+        if not material.use_nodes or material.node_tree is None:
+            continue
+        tree = material.node_tree
+        tree.nodes.clear()
+        emission = tree.nodes.new("ShaderNodeEmission")
+        emission.inputs["Color"].default_value = (*colorsys.hsv_to_rgb(0.381966 * k % 1.0, 0.7, 0.6), 1.0)
+        output = tree.nodes.new("ShaderNodeOutputMaterial")
+        tree.links.new(emission.outputs[0], output.inputs["Surface"])
+        material.cycles.emission_sampling = "NONE"
+
+
+def darken() -> None:
+    """The world becomes black."""
+    import bpy
+
+    for world in bpy.data.worlds:
+        world.use_nodes = True
+        world.node_tree.nodes.clear()
+        background = world.node_tree.nodes.new("ShaderNodeBackground")
+        background.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+        output = world.node_tree.nodes.new("ShaderNodeOutputWorld")
+        world.node_tree.links.new(background.outputs[0], output.inputs["Surface"])
+
+
+def unshadow() -> None:
+    """The world becomes black, and lamps cast no shadows."""
+    import bpy
+
+    darken()
+    for light in bpy.data.lights:
+        light.use_shadow = False
