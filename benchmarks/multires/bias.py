@@ -3,9 +3,10 @@
     python -m benchmarks.multires.bias [--scenes dragon_far ...] [--size 160x120] [--cones 1] [--images 6]
         [--kinds coverage shading shadows all] [--reference-samples 1024]
 
-Bias is relMSE less the noise of the images and of the reference, both told from
-independent seeds. It is not additive: what is switched off is missing from the reference, too, and the images are
-brighter or darker. The last column is the mean of ours over the reference's. Writes docs/benchmarks/raytrace-bias.md.
+Bias is relMSE less the noise of the images and of the reference, both told from independent seeds. What does not change
+from seed to seed belongs to it: the pattern of samples and of subpixels, too. It is not additive: what is switched off
+is missing from the reference, too, and the images are brighter or darker. The last column is the mean of ours over the
+reference's. Writes docs/benchmarks/raytrace-bias.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A scene with parts of its light switched off, so that errors of one kind are seen alone (science of the bias)."""
+"""A scene with parts of its light switched off, so that errors of one kind are seen alone."""
 
 from __future__ import annotations
 

@@ -1,16 +1,22 @@
-"""Fragments that share what the world sends them: means where it is the same, nothing where it is not."""
+"""Fragments that share what they receive: means where it is the same, nothing where it is not, and no more of it."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pointmr_engine import Group, Light, RenderSettings, Scene, emission, principled, render, uniform_world
+from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.light_sharing import (
     REACH,
+    TURN_OF_LOBE,
     TURN_OF_WORLD,
     allocate_shares,
     share_light,
+    take_reflected,
 )
+from pointmr_engine.render import Cache
+from tests.engine.small_scenes import at, from_above, quad
 
 SUBPIXELS = 8
 
@@ -83,3 +89,97 @@ def test_places_beyond_the_tile_are_kept(place):
     shares, x, y = shares_of(4, np.random.default_rng(7))
     x[5] = place
     np.testing.assert_allclose(shared(shares, x, y, 4), shares.albedo, rtol=1e-5)
+
+
+# Lobes
+
+
+def turned(shares, x, angle):
+    """The same fragments on two planes, the right ones turned by `angle`, and dark."""
+    right = x > 4 * SUBPIXELS
+    shares.normal[right] = (np.sin(angle), 0, np.cos(angle))
+    shares.light[right] = 0
+    return right
+
+
+@pytest.mark.parametrize(("width", "mixes"), [(1.0, True), (0.1, False)])
+def test_narrow_lobes_share_only_where_normals_agree(width, mixes):
+    shares, x, y = shares_of(8, np.random.default_rng(8))
+    shares.width[:] = width
+    right = turned(shares, x, 0.04)
+    result = shared(shares, x, y, 8, TURN_OF_LOBE)
+    assert bool((result[right] > 0).any()) == mixes
+
+
+def test_lobes_of_different_width_do_not_share():
+    shares, x, y = shares_of(8, np.random.default_rng(9))
+    right = turned(shares, x, 0.0)
+    shares.width[:] = np.where(right, 0.3, 0.6)
+    result = shared(shares, x, y, 8, TURN_OF_LOBE)
+    assert (result[right] == 0).all()
+
+
+def test_what_counts_more_decides():
+    shares, x, y = shares_of(4, np.random.default_rng(10))
+    shares.worth[::2], shares.light[::2] = 9, 0
+    share = shared(shares, x, y, 4) / shares.albedo
+    assert (share < 0.3).all() and (share > 0).all()
+
+
+# Light that shadow rays bring
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1000))
+def test_light_is_moved_and_not_made(seed):
+    rng = np.random.default_rng(seed)
+    shares, n = shares_of(2, rng)[0], 40
+    shares.albedo[::3] = 0  # has nothing to share
+    shares.light[:] = 0
+    light, source = rng.uniform(0, 1, (n, 3)), rng.integers(0, 10, n).astype(np.int32)
+    part = light * rng.uniform(0, 1, (n, 3))
+    triangle = rng.choice(np.array([-1, 5], np.int64), n)
+    left, before = light.copy(), light.sum(0)
+    take_reflected(left, part, source, triangle, np.int64(n), np.int64(6), shares)
+    np.testing.assert_allclose(left.sum(0) + shares.light.sum(0), before, rtol=1e-5)
+    kept = (triangle != -1) | (shares.albedo[6 + source] == 0).all(1)
+    np.testing.assert_array_equal(left[kept], light[kept])  # blocked, or not shared
+    np.testing.assert_allclose(left[~kept], (light - part)[~kept], atol=1e-12)
+
+
+def lamps_over_a_floor(**floor) -> Scene:
+    """More lamps than take a cone each, and a panel that shines; a card throws shadows on the floor."""
+    places = ((-2, 0, 4), (2, 1, 3), (0, 2, 4), (1, -2, 3))
+    lamps = [Light("AREA", at(*p), power=40.0, size_x=0.5) for p in places]
+    things = [
+        quad(20.0, material=principled("floor", **floor)),
+        quad(0.6, 0.5, principled("card", base_color=(0.5, 0.2, 0.1)), "card"),
+        quad(0.8, 5.5, emission("panel", strength=20.0), "panel"),
+    ]
+    return Scene(Group("root", things), from_above(), lamps, uniform_world((0, 0, 0)))
+
+
+@pytest.mark.parametrize(
+    ("floor", "quieter"),
+    [
+        ({"base_color": (0.6, 0.5, 0.4), "specular_ior_level": 0.0}, 2.0),
+        ({"base_color": (0.9, 0.8, 0.6), "metallic": 1.0, "roughness": 0.6}, 3.0),
+    ],
+    ids=["matt", "rough metal"],
+)
+def test_shared_light_of_lamps_is_as_bright_and_quieter(monkeypatch, floor, quieter):
+    def images() -> np.ndarray:
+        cache, scene = Cache(), lamps_over_a_floor(**floor)
+        seeds = (RenderSettings(40, 30, method="raytrace", seed=s) for s in range(6))
+        return np.array([render(scene, s, cache=cache).passes["combined"][..., :3] for s in seeds], float)
+
+    shared_, begin = images(), ConeLight.__init__
+
+    def alone(self, *args):
+        begin(self, *args)
+        self.shares_lamps = self.shares_lobes = False
+
+    monkeypatch.setattr(ConeLight, "__init__", alone)
+    single = images()
+    assert shared_.mean() == pytest.approx(single.mean(), rel=0.01)
+    assert shared_.var(0).mean() * quieter < single.var(0).mean()
