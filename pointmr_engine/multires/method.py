@@ -1,8 +1,8 @@
 """Multi-resolution raytracing as a method: primary cones walk the hierarchy together, tile by tile; what they see is
 merged into surfaces, and each of those sends its own cones on.
 
-The primary cones of a tile resolve visibility per subpixel, 8 x 8 of them in a cone, from samples half a footprint
-apart (forward/walk.py): the hierarchy is walked once for all of them.
+The primary cones of a tile resolve visibility per subpixel, 8 x 8 of them in a cone, from samples a third of a
+footprint apart (forward/walk.py): the hierarchy is walked once for all of them.
 """
 
 from __future__ import annotations
