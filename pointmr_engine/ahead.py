@@ -65,6 +65,12 @@ def _grains(material) -> Group:
     return Group("grains", [_mesh("grains", positions, np.arange(3 * _GRAINS).reshape(-1, 3), material)])
 
 
+def _plot(material, grains: Group) -> Group:
+    """Ground with clouds on it, for instances that no view shows in parts."""
+    clouds = [instance(grains, _place(0.3 * x, 0.3 * y, 0.1)) for x in range(-3, 4) for y in range(-3, 4)]
+    return Group("plot", [_card("ground", 1.0, material)], clouds)
+
+
 def scenes() -> Iterator[Scene]:
     """Scenes with most of what kernels are compiled for: lamps of every kind, materials, instances, lens, worlds."""
     dull = principled("dull", base_color=(0.6, 0.5, 0.4), specular_ior_level=0.0)
@@ -73,10 +79,13 @@ def scenes() -> Iterator[Scene]:
     veil = principled("veil", alpha=0.5)
     node = Node("glossy", {"color": (1.0, 1.0, 1.0), "roughness": 0.1}, {"distribution": "ggx"})
     metal = Material("metal", Graph({"bsdf": node}, surface=Link("bsdf", "bsdf")))
+    node = Node("diffuse", {"color": (0.3, 0.4, 0.2)})
+    soil = Material("soil", Graph({"bsdf": node}, surface=Link("bsdf", "bsdf")))
     floor, far = _card("floor", 5.0, dull), _grains(dull)
     camera = Camera(_place(0, -8, 5, 1.25))
     sky = uniform_world((0.3, 0.4, 0.5))
     placed = [instance(far, _place(3.0 * x - 4.5, 12.0, 0.0)) for x in range(4)]
+    placed += [instance(_plot(soil, far), _place(4.0 * x - 60.0, 80.0, 0.0)) for x in range(30)]
     sun = Light("SUN", _place(0, 0, 5, 0.5), power=3.0, angle=0.0)
     yield Scene(Group("root", [floor, _card("roof", 1.0, dull, 1.0)], placed), camera, [sun], sky)
     things = [
