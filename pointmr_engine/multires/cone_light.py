@@ -55,9 +55,6 @@ class ConeLight:
         self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0
         of = arrays.lamps.source
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
-        # one by one, those that take cones before those that take rays: for clumps
-        each = [*wide, *(t[1] for t in self.rays.turns if t is not None and t[0] == LAMP)]
-        self.each = [(k, compile_lamps([scene.lights[of[k]]])[0]) for k in each]
         self._sampler, self._lock = sampler, threading.Lock()
 
     @property

@@ -11,7 +11,6 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals
 from pointmr_engine.forward.world_light import world_lobe
-from pointmr_engine.multires.clumps import ratios, restore_normals, swap_normals
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
@@ -41,7 +40,6 @@ ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of ea
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
 AROUND = 0.5
 MOST = 3  # fragments of a cone
-NO_SHADOWS = np.zeros((0, 0), np.float32)
 
 
 class ConePaths(SharingPaths):
@@ -54,11 +52,9 @@ class ConePaths(SharingPaths):
         self.width = np.empty(n, np.float32)
         self.both = np.empty(n, np.bool_)
         self.received = np.zeros((n, 3), np.float32)
-        self.ones, self.ones_f = np.ones(n), np.ones(n, np.float32)
-        self.swapped = np.empty((BATCH, self.alpha.shape[1] + 2, 3), np.float32)
+        self.ones = np.ones(n)
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
-        self.ratios: dict = {}
         self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
@@ -102,9 +98,8 @@ class ConePaths(SharingPaths):
             lobes.count[:n][weak] = 0
             alive = alive & ~weak
         self.stage = self.strong_stage
-        self.ratios = self._clump_ratios(n) if bounce == 0 and len(self.clumps.row) else {}
         if bounce == 0:
-            self.shared_light.begin(lobes, now.throughput, self.frames.position, self.flat, self.first, n)
+            self.shared_light.begin(lobes, now.throughput, self.frames.position, self.first, n)
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
         self.small = None
@@ -121,8 +116,6 @@ class ConePaths(SharingPaths):
         else:
             chosen.pdf[:] *= self.stage.lights.turns.count(turn)
         chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
-        if turn in self.ratios:
-            chosen.radiance[:] *= self.ratios[turn][self.lit_rows[:m], None]
         return chosen
 
     def connect(self, now, m: int, chosen) -> int:
@@ -159,39 +152,6 @@ class ConePaths(SharingPaths):
         """(n,) bool: fragments that weigh too little for cones, and for more than half of the rays to the world."""
         return self.space.fragments.count[self.first : self.first + n] < LARGE
 
-    def _clump_ratios(self, n: int) -> dict:
-        """By light, (n,) float32: what clumps receive unhindered as distributions, against their visible points."""
-        lobes, clumps, kept = self.lobes, self.clumps, self.lobes.count[:n].copy()
-        others = np.ones(n, np.bool_)
-        others[clumps.row] = False
-        lobes.count[:n][others] = 0
-        at_points = [self._unhindered(lamps, self.ones_f, n) for _, lamps in self.light.each]
-        # what glitters says nothing of a distribution's mean normal: of that, B is U
-        matt = [lamps._replace(visibility=lamps.visibility & DIFFUSE) for _, lamps in self.light.each]
-        glossy = [
-            u - self._unhindered(lamps, self.ones_f, n) for u, lamps in zip(at_points, matt, strict=True)
-        ]
-        swap_normals(lobes, self.view.incoming, clumps.row, clumps.normal, self.swapped)
-        spread_out = [
-            self._unhindered(lamps, self.flat, n) + g for lamps, g in zip(matt, glossy, strict=True)
-        ]
-        restore_normals(lobes, clumps.row, self.swapped)
-        lobes.count[:n] = kept
-        self.flat[clumps.row] = 1.0
-        return {
-            (LAMP, k): ratios(clumps, b, u, n)
-            for (k, _), b, u in zip(self.light.each, spread_out, at_points, strict=True)
-        }
-
-    def _unhindered(self, lamps, flat: np.ndarray, n: int) -> np.ndarray:
-        """(n, 3) float32 light of lamps without shadows."""
-        result = np.zeros((n, 3), np.float32)
-        shade_lamps(
-            self.lobes, self.view.incoming, self.frames.position, flat, self.alpha, lamps, NO_SHADOWS, np.int64(0),
-            np.int64(n), result,
-        )  # fmt: skip
-        return result
-
     def _wide_lamps(self, now, n: int) -> None:
         """Add the light of lamps that take cones."""
         lobes, lamps, count = self.lobes, self.light.lamps, np.int64(n)
@@ -201,8 +161,6 @@ class ConePaths(SharingPaths):
         np.not_equal(lobes.flags[:n] & HAS_TRANSMISSION, 0, out=self.both[:n])
         for i in range(len(lamps.shape)):
             self._shadow(i, n)
-            if self.ratios:
-                self.share[i, :n] *= self.ratios[LAMP, self.light.each[i][0]]
         shade_lamps(
             lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, lamps, self.share,
             np.int64(0), count, self.received,

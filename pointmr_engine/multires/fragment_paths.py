@@ -14,7 +14,6 @@ from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
-from pointmr_engine.multires.clumps import FLATNESS, Clumps
 from pointmr_engine.multires.curvature import spread_of_curvature
 from pointmr_engine.multires.path_pool import PathPool
 from pointmr_engine.numerics.jit import uncounted
@@ -30,6 +29,7 @@ from pointmr_engine.shading.bsdf.layout import WEIGHT
 BATCH = 8192
 FRESH = 2 * BATCH  # paths behind first surfaces that move on together
 FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those that do not wait any longer
+FLATNESS = 0.95  # of a piece, below which it is a clump that has no normal of its own
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
 TINGE = 0.02  # of light in a channel: what coloured transparency lets through, below which it is not followed
 VEILS = 8  # transparent surfaces that a look at a clump passes at most
@@ -172,15 +172,12 @@ class FragmentPaths(Workspace):
         # rays leave a real point of the piece, with what is around it: its centroid may lie inside
         frame.position[:count] = position
         clump = np.flatnonzero(self.flat[:count] < FLATNESS)
-        self.clumps = Clumps(
-            clump, frame.smooth_normal[clump], self.pixel[clump], f.count[first + clump].astype(np.float64)
-        )
         # a clump faces all ways: the triangle that represents it stands for one of them
         for target, normals in zip(
             (frame.smooth_normal, frame.geometric_normal, frame.backfacing), own, strict=True
         ):
             target[clump] = normals[clump]
-        self.spread[clump] = 0.0
+        self.spread[clump], self.flat[clump] = 0.0, 1.0
         triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
         self.coloured[:count] = False
         self.coloured[triangles] = image.coloured
@@ -189,7 +186,7 @@ class FragmentPaths(Workspace):
             tables, hits, now.state.width, f.count[first : first + count], np.float64(space.cell**2), triangles,
             np.int64(len(triangles)), self.spread,
         )  # fmt: skip
-        self._look_at_clumps(space, now, first)
+        self._look_at_clumps(space, now, first, clump)
         start_rays(now.rays, hits, self.frames, n_)
         if image.view.perspective:  # the footprint goes on growing behind mirrors
             now.state.spread[:count] = now.state.width[:count] / np.maximum(hits.t[:count], 1e-30)
@@ -250,13 +247,12 @@ class FragmentPaths(Workspace):
         """Radiance of the tile's fragments 0..count, which have all been traced, to space.light."""
         self._settle_paths()
 
-    def _look_at_clumps(self, space, now, first: int) -> None:
+    def _look_at_clumps(self, space, now, first: int, rows: np.ndarray) -> None:
         """Represent clumps by what the camera sees of them: the first surface behind a subpixel that shows each.
 
         A piece's own representative may be hidden in it, or seen from its edge, and lie in another light than what is
         seen.
         """
-        rows = self.clumps.row
         if not len(rows):
             return
         hits, frame, camera_rays = self.hits, self.frames, now.rays

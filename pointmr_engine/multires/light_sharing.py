@@ -79,17 +79,16 @@ def add_lobe(shares: Shares, row, passed, normal, rough):
 
 
 @uncounted
-def begin_shares(lobes, throughput, position, flat, least_flat, first, count, shares):
+def begin_shares(lobes, throughput, position, first, count, shares):
     """Rows first..first + count of `shares`: what the points 0..count reflect diffusely, nothing received yet.
 
-    flat (N,) float32: pieces less flat than least_flat have no normal of their own, and do not share; nor does what
-    reflects otherwise than plain diffuse surfaces, or lets light through.
+    What reflects otherwise than plain diffuse surfaces, or lets light through, does not share.
     """
     for k in range(count):
         row = first + k
         clear_share(shares, row, position[k, 0], position[k, 1], position[k, 2])
         shares.width[row] = shares.worth[row] = np.float32(1)
-        single = flat[k] >= least_flat
+        single = True
         normal = np.int64(-1)
         for j in range(np.int64(lobes.count[k])):
             base = lobes.kind[k, j] & KIND_MASK

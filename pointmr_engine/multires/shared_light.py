@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.clumps import FLATNESS
 from pointmr_engine.multires.light_sharing import (
     TURN_OF_LOBE,
     TURN_OF_WORLD,
@@ -54,20 +53,11 @@ class SharedLight:
         if self.has_lobes:
             self.lobes = allocate_shares(fragments)
 
-    def begin(self, lobes, throughput, position, flat, first: int, n: int) -> None:
+    def begin(self, lobes, throughput, position, first: int, n: int) -> None:
         """The fragments of a batch have received nothing of the world and of lamps. Lobes begin as they scatter."""
         for shares in (self.world, self.lamps):
             if len(shares.rays):
-                begin_shares(
-                    lobes,
-                    throughput,
-                    position,
-                    flat,
-                    np.float32(FLATNESS),
-                    np.int64(first),
-                    np.int64(n),
-                    shares,
-                )
+                begin_shares(lobes, throughput, position, np.int64(first), np.int64(n), shares)
 
     def of_lamps(self, chosen, rows: np.ndarray) -> None:
         """Remember from how wide an angle the light of samples `chosen` comes, for the batch's points `rows`.

@@ -20,7 +20,6 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
-from pointmr_engine.multires.clumps import Clumps, ratios
 from pointmr_engine.multires.lobe_view import lobe_pdf
 from pointmr_engine.multires.merge import choose_seen
 from pointmr_engine.multires.shadow_edges import LARGE, find_edges
@@ -58,17 +57,6 @@ def test_suns_on_far_foliage_bring_as_much_as_in_the_exact_image(angle):
     exact = image(scene, cache, method="distributed", samples=256)
     ours = np.mean([image(scene, cache, seed=s) for s in range(4)], 0)
     assert ours.mean() == pytest.approx(exact.mean(), rel=0.05)
-
-
-def test_ratios_are_those_of_the_sums_in_each_pixel():
-    clumps = Clumps(
-        np.array([1, 2, 4]), np.zeros((3, 3), np.float32), np.array([0, 0, 7]), np.array([1.0, 3.0, 5.0])
-    )
-    spread_out, at_points = np.zeros((5, 3), np.float32), np.zeros((5, 3), np.float32)
-    spread_out[[1, 2, 4]] = [[1.0], [2.0], [3.0]]
-    at_points[[1, 2, 4]] = [[4.0], [0.0], [0.0]]
-    found = ratios(clumps, spread_out, at_points, 5)
-    assert found.tolist() == [1.0, 1.75, 1.75, 1.0, 0.0]  # (1 * 1 + 3 * 2) / (1 * 4); nothing faces the light
 
 
 @given(st.integers(1, 5), st.integers(0, 1000), st.integers(0, 1000))
