@@ -66,7 +66,7 @@ class ConePaths(SharingPaths):
         self.escaped = np.empty(n, np.uint64)
         self.then = self.met
         self.masks = np.empty(n, np.uint64)
-        self.lobe_alpha = np.zeros(n, np.float32)
+        self.lobe_alpha, self.behind = np.zeros(n, np.float32), np.ones((n, 3), np.float32)
         self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
         self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
         self.going = 0
@@ -83,7 +83,8 @@ class ConePaths(SharingPaths):
         super().shaded(now, n, bounce)
 
     def roulette(self, now, n: int, alive, bounce: int) -> None:
-        """Nothing: what is weak is left to chance where it is scattered."""
+        """What is weak is left to chance where it is scattered; here, lights that rays met have been counted."""
+        now.throughput[:n] *= self.behind[:n]
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
         self.small = self._small(n) if bounce == 0 else None
@@ -222,7 +223,7 @@ class ConePaths(SharingPaths):
             )  # fmt: skip
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
-            self.lobe_alpha, self.around,
+            self.lobe_alpha, self.behind, self.around,
         )  # fmt: skip
         total = sum(counts)
         if counts[2]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pointmr_engine.numerics.jit import device
@@ -11,11 +13,14 @@ from pointmr_engine.shading.bsdf.layout import (
     KIND_MASK,
     NORMAL,
     REFLECTION,
+    SAMPLE,
     SINGULAR_LOBE,
+    TRANSLUCENT,
     WEIGHT,
 )
 from pointmr_engine.shading.bsdf.microfacet import IOR_MATCHED, evaluate, sample
-from pointmr_engine.shading.bsdf.vector import dot, load3, row3
+from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
+from pointmr_engine.shading.lobes import evaluate as evaluate_all
 
 # roughness (GGX alpha) above which lobes take rays, at one cone a pixel: their cones would be too wide. With more
 # cones it is less, as the rays' noise is and the cones' bias is not
@@ -59,3 +64,33 @@ def draw_direction(lobes, k, j, wi, transmitted, u, v):
         return wo, none
     w, scale = load3(lobes.data, k, j, WEIGHT), chance / pdf
     return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale)
+
+
+@device
+def behind_glossy(lobes, k, j, wi, wo, weight):
+    """Factors (rgb) of what surfaces reflect that lie in direction wo, drawn from lobe j of point k with `weight`.
+
+    Paths are told apart by the lobe that chance chose, and a glossy one carries what all lobes reflect: so a part of
+    what diffuse surfaces send each other arrives although they may not bounce, and what chance gives to diffuse lobes
+    of glossy light does not (as in Cycles, and in `distributed`). Here it is as much, without that chance. What shines
+    itself is the lobe's alone, for light samples bring it to diffuse ones.
+    """
+    one = (1.0, 1.0, 1.0)
+    diffuse, _, _, pdf = evaluate_all(lobes, k, wi, wo)
+    if not pdf > 0.0:
+        return one
+    total, by_diffuse = mean(row3(lobes.transparency, k)), 0.0
+    for i in range(np.int64(lobes.count[k])):
+        chance = np.float64(lobes.data[k, i, SAMPLE])
+        total += chance
+        if lobes.kind[k, i] & KIND_MASK < TRANSLUCENT:
+            by_diffuse += chance * max(dot(load3(lobes.data, k, i, NORMAL), wo), 0.0) / math.pi
+    if not total > 0.0:
+        return one
+    kept = max(1.0 - by_diffuse / (total * pdf), 0.0)
+    added = np.float64(lobes.data[k, j, SAMPLE]) / (total * pdf)
+    return (
+        kept + diffuse[0] * added / weight[0] if weight[0] > 0.0 else 1.0,
+        kept + diffuse[1] * added / weight[1] if weight[1] > 0.0 else 1.0,
+        kept + diffuse[2] * added / weight[2] if weight[2] > 0.0 else 1.0,
+    )

@@ -41,6 +41,7 @@ class LobeCones(NamedTuple):
     weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
     ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
     rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
+    behind: np.ndarray  # (N, 3) float32: of rays, factors of what surfaces reflect (lobe_rays.behind_glossy)
 
 
 def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
@@ -55,6 +56,7 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
         np.empty((n, 64), f),
         np.zeros(n, np.bool_),
         np.zeros(n, f),
+        np.ones((n, 3), f),
     )
 
 
@@ -155,6 +157,8 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
         if lobes.alpha[m] < 0 or lobes.part[m] != 0 or (max(t[0], t[1], t[2]) >= strong and not lobes.ray[m]):
             continue
         c.t_min[m] = c.t_max[m] = 0.0
+        for a in range(3):
+            lobes.behind[m, a] = 1
         if lobes.alpha[m] <= 0.0:
             lobes.alpha[m] = THROUGH_MIRROR
             paths.bsdf_pdf[m] = math.inf
@@ -221,13 +225,24 @@ def _look(lobes: LobeCones, k, mask):
 
 @uncounted
 def follow_cones(
-    paths: Paths, lobes: LobeCones, fragments, escaped, count, n, room, out: Paths, hits, alpha, around
+    paths: Paths,
+    lobes: LobeCones,
+    fragments,
+    escaped,
+    count,
+    n,
+    room,
+    out: Paths,
+    hits,
+    alpha,
+    behind,
+    around,
 ):
     """Paths for what the cones of paths 0..n see, into out; returns (rows of hits, of escapes, of straight rays).
 
     fragments: count rows of cone_hits.gather, whose rays and hits are rows 0..count of out.rays and hits already. alpha
-    (M,) float32: roughness of what is left of the lobe in each row; of a ray, `around` times the lobe's. Straight rays
-    have yet to be walked.
+    (M,) float32: roughness of what is left of the lobe in each row; of a ray, `around` times the lobe's. behind (M, 3)
+    float32: LobeCones.behind of each row. Straight rays have yet to be walked.
     """
     for r in range(count):
         k = np.int64(fragments.cone[r])
@@ -255,10 +270,13 @@ def follow_cones(
         hits.t[m] = math.inf
         m += 1
     escapes = m - count
+    behind[:m] = 1
     for k in range(n):
         if lobes.alpha[k] < 0 and m < room:
             copy_path(paths, np.int64(k), 1.0, out, m)
             copy_ray(paths.rays, np.int64(k), out.rays, m)
+            for c in range(3):
+                behind[m, c] = lobes.behind[k, c]
             sharp = np.int64(paths.state.kind[k]) & (RAY_CAMERA | RAY_SINGULAR) != 0
             alpha[m] = 0.0 if sharp else _NEARLY_SHARP
             if lobes.alpha[k] == WITHIN_LOBE:

@@ -14,7 +14,7 @@ import numpy as np
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
 from pointmr_engine.multires.light_sharing import add_lobe, clear_share
-from pointmr_engine.multires.lobe_rays import draw_direction, takes_ray
+from pointmr_engine.multires.lobe_rays import behind_glossy, draw_direction, takes_ray
 from pointmr_engine.multires.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, WITHIN_LOBE, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
@@ -190,6 +190,8 @@ def _no_cone(record, m, alpha):
     record.alpha[m] = alpha
     record.part[m] = 0
     record.cones.t_min[m] = record.cones.t_max[m] = 0.0
+    for c in range(3):
+        record.behind[m, c] = 1
 
 
 @uncounted
@@ -313,6 +315,9 @@ def _reflect(
             if glints:
                 out.flags[m] |= SEES_LAMPS
             out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
+            record.behind[m, 0], record.behind[m, 1], record.behind[m, 2] = behind_glossy(
+                lobes, k, j, wi, wo, weight
+            )
             m += 1
         return m
     d = (2.0 * cosine * nm[0] - wi[0], 2.0 * cosine * nm[1] - wi[1], 2.0 * cosine * nm[2] - wi[2])
