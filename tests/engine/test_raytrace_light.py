@@ -208,3 +208,23 @@ def test_rough_metal_is_as_dark_as_what_it_faces():
     low, high = np.s_[10:16, 10:-10], np.s_[22:28, 10:-10]
     for part in (low, high):
         assert ours[part].mean() == pytest.approx(exact[part].mean(), rel=0.04)
+
+
+# Diffuse light behind glossy lobes
+
+
+def test_glossy_paths_carry_as_much_diffuse_light_as_random_ones():
+    """Walls of a corner see each other by their gloss alone, but what it brings is reflected diffusely, too."""
+    wall = principled("wall", base_color=(0.2, 0.8, 0.3), roughness=0.5)
+    corner = [
+        card("left", [(0, 0, -1), (0, 0, 1), (-1, -1, 1), (-1, -1, -1)], wall),
+        card("right", [(0, 0, -1), (1, -1, -1), (1, -1, 1), (0, 0, 1)], wall),
+    ]
+    camera = Camera(look((0.0, -4.0, 0.0), (0.0, 0.0, 0.0)))
+    scene = Scene(Group("root", corner), camera, [replace(SUN, cast_shadow=False)], DARK)
+    cache = Cache()
+    exact = np.mean(
+        [image(scene, cache, method="distributed", samples=256, seed=s) for s in range(2)], 0
+    ).mean((0, 1))
+    ours = np.mean([image(scene, cache, seed=s) for s in range(8)], 0).mean((0, 1))
+    np.testing.assert_allclose(ours, exact, rtol=0.004)
