@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from benchmarks import pictures
 from benchmarks.judge import size_of
 from benchmarks.metrics import deviation, over_backdrop
 from benchmarks.multires import variants
-from benchmarks.multires.renderers import Renderer, reference
+from benchmarks.multires.renderers import Renderer, add_options, reference
 from benchmarks.multires.scenes import SUBJECTS
 from benchmarks.processes import WorkerError
 from benchmarks.report import command, markdown
@@ -70,10 +69,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--cones", nargs="+", type=int, default=[1])
     parser.add_argument("--images", type=int, default=6, help="seeds of ours")
     parser.add_argument("--reference-samples", type=int, default=1024, help="in seeds of 512, at least two")
-    parser.add_argument("--threads", type=int, default=0, help="0: one per core")
-    parser.add_argument("--out", type=Path, default=Path("out/multires"))
-    parser.add_argument("--cache", type=Path, default=Path("out/references"))
-    parser.add_argument("--docs", type=Path, default=Path("docs/benchmarks"))
+    add_options(parser)
     o = parser.parse_args(argv)
     typed = command("benchmarks.multires.bias", argv)
     rows, failed = [], 0

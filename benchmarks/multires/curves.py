@@ -14,12 +14,11 @@ import json
 import os
 import platform
 import sys
-from pathlib import Path
 
 from benchmarks.judge import size_of
 from benchmarks.methods import Method, parse_methods
 from benchmarks.multires import measuring, page
-from benchmarks.multires.renderers import reference, seeds_of
+from benchmarks.multires.renderers import add_options, reference, seeds_of
 from benchmarks.multires.scenes import SUBJECTS
 from benchmarks.processes import WorkerError
 from benchmarks.report import command
@@ -39,10 +38,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
         "--references-only", action="store_true", help="render what is missing, measure nothing"
     )
     parser.add_argument("--runs", type=int, default=3, help="timed rounds, after one to settle")
-    parser.add_argument("--threads", type=int, default=0, help="0: one per core")
-    parser.add_argument("--out", type=Path, default=Path("out/multires"))
-    parser.add_argument("--cache", type=Path, default=Path("out/references"))
-    parser.add_argument("--docs", type=Path, default=Path("docs/benchmarks"))
+    add_options(parser)
     options = parser.parse_args(argv)
     options.methods = [Method(options.ours, n) for n in options.cones] + parse_methods(options.rivals)
     return options

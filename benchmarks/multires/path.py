@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks import methods, pictures
 from benchmarks.judge import size_of
 from benchmarks.metrics import over_backdrop
-from benchmarks.multires.renderers import Renderer
+from benchmarks.multires.renderers import Renderer, add_options
 from benchmarks.multires.scenes import SUBJECTS, source
 from benchmarks.processes import WorkerError
 from benchmarks.report import command, markdown
@@ -177,10 +177,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--cones", type=int, default=1)
     parser.add_argument("--rivals", nargs="*", default=["cycles", "distributed"])
     parser.add_argument("--reference-samples", type=int, default=256, help="a frame, in two seeds")
-    parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("out/multires"))
-    parser.add_argument("--cache", type=Path, default=Path("out/references"))
-    parser.add_argument("--docs", type=Path, default=Path("docs/benchmarks"))
+    add_options(parser)
     o = parser.parse_args(argv)
     o.docs.mkdir(parents=True, exist_ok=True)
     rows, failed = [], 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 from pathlib import Path
@@ -17,6 +18,14 @@ from benchmarks.sources import text_hash
 TIMEOUT = 7200.0  # seconds that one image may take
 SEED_SAMPLES = 512  # of one seed of a reference
 FIRST_SEED = 7001  # of references, far from the seeds of the renders that are measured
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of all drivers that render: threads, and the folders of renders, references and pages."""
+    parser.add_argument("--threads", type=int, default=0, help="0: one per core")
+    parser.add_argument("--out", type=Path, default=Path("out/multires"))
+    parser.add_argument("--cache", type=Path, default=Path("out/references"))
+    parser.add_argument("--docs", type=Path, default=Path("docs/benchmarks"))
 
 
 class Renderer(Worker):

@@ -17,12 +17,7 @@ from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share_with_lobes
-from pointmr_engine.multires.lobe_view import (
-    allocate_lobe_cones,
-    follow_cones,
-    thin_out,
-    weigh_sub_rays,
-)
+from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
 from pointmr_engine.multires.shadow_edges import LARGE
 from pointmr_engine.multires.sharing_paths import SharingPaths
