@@ -198,8 +198,11 @@ def _pixel_of(x, y, subpixels, rows, columns):
 
 
 @uncounted
-def _gather(x, y, shares, order, total, table):
-    """What fragments order[0..total] tell their neighbours, to the columns of table (COLUMNS, F) float64."""
+def _gather(x, y, shares, order, total, origin, table):
+    """What fragments order[0..total] tell their neighbours, to the columns of table (COLUMNS, F) float32.
+
+    origin (3,) float64: about which places keep their precision.
+    """
     for s in range(total):
         k = np.int64(order[s])
         table[AT_X, s], table[AT_Y, s] = x[k], y[k]
@@ -207,86 +210,106 @@ def _gather(x, y, shares, order, total, table):
         table[WORTH, s], table[WIDTH, s] = shares.worth[k], shares.width[k]
         for c in range(3):
             albedo = np.float64(shares.albedo[k, c])
-            table[PLACE + c, s], table[FACING + c, s] = shares.position[k, c], shares.normal[k, c]
+            table[PLACE + c, s] = shares.position[k, c] - origin[c]
+            table[FACING + c, s] = shares.normal[k, c]
             table[HEARD + c, s] = 1.0 if albedo > DIM else 0.0
             table[ARRIVED + c, s] = shares.light[k, c] / albedo if albedo > DIM else 0.0
 
 
-@summed
-def _met_about(table, first, end, x, y, reach):
-    """(sum of 1 / metres, rays) of what the fragments first..end within reach of x, y have met."""
-    near, rays = 0.0, 0.0
-    for g in range(first, end):
-        within = (abs(table[AT_X, g] - x) <= reach) & (abs(table[AT_Y, g] - y) <= reach)
-        near += table[NEARNESS, g] if within else 0.0
-        rays += table[RAYS, g] if within else 0.0
-    return near, rays
+@device
+def _take_band(table, start, low, high, row, begin, own, index, band):
+    """Copy rows of pixels low..high of a table to `band`, column by column: pixels side by side are one run of it.
+
+    begin (columns + 1,) int64: where columns begin; own (columns,): to be added to the numbers that start[row] has.
+    """
+    n = np.int64(0)
+    for i in range(len(own)):
+        begin[i] = n
+        for q in range(low, high):
+            if q == row:
+                own[i] = n - start[q, i]
+            for s in range(start[q, i], start[q, i + 1]):
+                index[n] = s
+                n += 1
+    begin[len(own)] = n
+    for c in range(COLUMNS):
+        for k in range(n):
+            band[c, k] = table[c, index[k]]
 
 
 @summed
-def _received_about(table, first, end, s, reach, near, turn, sums):
-    """Add to sums (6,) the weights and the weighted light of fragments first..end about s, as far as they share."""
-    x, y = table[AT_X, s], table[AT_Y, s]
-    px, py, pz = table[PLACE, s], table[PLACE + 1, s], table[PLACE + 2, s]
-    nx, ny, nz = table[FACING, s], table[FACING + 1, s], table[FACING + 2, s]
-    width = table[WIDTH, s]
-    narrow = 1.0 / max(ERROR * width, 1e-12)
-    u, v, w, r, g, b = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for t in range(first, end):
-        dx, dy, dz = table[PLACE, t] - px, table[PLACE + 1, t] - py, table[PLACE + 2, t] - pz
-        facing = table[FACING, t] * nx + table[FACING + 1, t] * ny + table[FACING + 2, t] * nz
-        change = math.sqrt(dx * dx + dy * dy + dz * dz) * near + turn * math.sqrt(max(1.0 - facing, 0.0))
-        change += abs(table[WIDTH, t] - width)
-        within = (abs(table[AT_X, t] - x) <= reach) & (abs(table[AT_Y, t] - y) <= reach)
-        weight = max(1.0 - change * narrow, 0.0) if within else 0.0
-        weight = (1.0 if t == s else weight) * table[WORTH, t]
-        u += weight * table[HEARD, t]
-        v += weight * table[HEARD + 1, t]
-        w += weight * table[HEARD + 2, t]
-        r += weight * table[ARRIVED, t]
-        g += weight * table[ARRIVED + 1, t]
-        b += weight * table[ARRIVED + 2, t]
-    sums[0] += u
-    sums[1] += v
-    sums[2] += w
-    sums[3] += r
-    sums[4] += g
-    sums[5] += b
+def _met_about(band, first, end, x, y, reach):
+    """Mean of 1 / metres of the rays of the fragments first..end within reach of x, y."""
+    nothing = np.float32(0)
+    near, rays = nothing, nothing
+    for k in range(end - first):
+        g = first + np.uint64(k)
+        within = (abs(band[AT_X, g] - x) <= reach) & (abs(band[AT_Y, g] - y) <= reach)
+        near += band[NEARNESS, g] if within else nothing
+        rays += band[RAYS, g] if within else nothing
+    return near / max(rays, np.float32(1))
+
+
+@summed
+def _received_about(band, first, end, s, reach, turn, sums):
+    """sums (6,) float32: weights and weighted light of the fragments first..end, as far as s shares theirs."""
+    x, y = band[AT_X, s], band[AT_Y, s]
+    near = _met_about(band, first, end, x, y, reach)
+    px, py, pz = band[PLACE, s], band[PLACE + 1, s], band[PLACE + 2, s]
+    nx, ny, nz = band[FACING, s], band[FACING + 1, s], band[FACING + 2, s]
+    nothing, one = np.float32(0), np.float32(1)
+    width = band[WIDTH, s]
+    narrow = one / max(np.float32(ERROR) * width, np.float32(1e-12))
+    u, v, w, r, g, b = nothing, nothing, nothing, nothing, nothing, nothing
+    for k in range(end - first):
+        t = first + np.uint64(k)
+        dx, dy, dz = band[PLACE, t] - px, band[PLACE + 1, t] - py, band[PLACE + 2, t] - pz
+        facing = band[FACING, t] * nx + band[FACING + 1, t] * ny + band[FACING + 2, t] * nz
+        change = np.sqrt(dx * dx + dy * dy + dz * dz) * near + turn * np.sqrt(max(one - facing, nothing))
+        change += abs(band[WIDTH, t] - width)
+        within = (abs(band[AT_X, t] - x) <= reach) & (abs(band[AT_Y, t] - y) <= reach)
+        weight = max(one - change * narrow, nothing) if within else nothing
+        weight = (one if t == s else weight) * band[WORTH, t]
+        u += weight * band[HEARD, t]
+        v += weight * band[HEARD + 1, t]
+        w += weight * band[HEARD + 2, t]
+        r += weight * band[ARRIVED, t]
+        g += weight * band[ARRIVED + 1, t]
+        b += weight * band[ARRIVED + 2, t]
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = u, v, w, r, g, b
 
 
 def share_light(
-    x, y, subpixels: int, reach: float, turn: float, shares: Shares, count: int, shape, out
+    x, y, subpixels: int, reach: float, turn: float, shares: Shares, count: int, shape, eye, out
 ) -> None:
     """Add what fragments 0..count of a tile of `shape` pixels (rows, columns) share to out (F, 3) float32.
 
-    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; turn: TURN_OF_WORLD or _LOBE.
+    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; turn: TURN_OF_WORLD or _LOBE;
+    eye (3,) float64: where they are seen from, or for a parallel view a place among them.
     """
     start, order = np.empty((shape[0], shape[1] + 1), np.int32), np.empty(count, np.int32)
-    table, n = np.empty((COLUMNS, count)), np.int64(count)
+    table, n = np.empty((COLUMNS, count), np.float32), np.int64(count)
     total = _by_pixel(x, y, np.int64(subpixels), shares, n, start, order)
-    _gather(x, y, shares, order, np.int64(total), table)
-    _add_received(shares, start, order, table, np.int64(subpixels), np.float64(reach), np.float64(turn),
-                  np.empty(6), out)  # fmt: skip
+    _gather(x, y, shares, order, np.int64(total), eye, table)
+    wide = math.ceil(reach / subpixels)
+    most = int(np.convolve(start[:, -1] - start[:, 0], np.ones(2 * wide + 1, np.int64)).max())
+    _add_received(
+        shares, start, order, table, np.int64(wide), np.float32(reach), np.float32(turn),
+        np.empty(shape[1] + 1, np.int64), np.empty(shape[1], np.int64), np.empty(most, np.int64),
+        np.empty((COLUMNS, most), np.float32), np.empty(6, np.float32), out,
+    )  # fmt: skip
 
 
 @uncounted
-def _add_received(shares, start, order, table, subpixels, reach, turn, sums, out):
-    """Add what the fragments of `table` receive together to out; sums (6,) float64 to work in."""
+def _add_received(shares, start, order, table, wide, reach, turn, begin, own, index, band, sums, out):
+    """Add what the fragments of `table` receive together to out. begin, own, index, band: see _take_band; sums (6,)."""
     rows, columns = start.shape[0], start.shape[1] - 1
-    wide = np.int64(math.ceil(reach / subpixels))
     for j in range(rows):
-        low, high = max(j - wide, 0), min(j + wide + 1, rows)
+        _take_band(table, start, max(j - wide, 0), min(j + wide + 1, rows), j, begin, own, index, band)
         for i in range(columns):
-            left, right = max(i - wide, 0), min(i + wide + 1, columns)
+            first, end = np.uint64(begin[max(i - wide, 0)]), np.uint64(begin[min(i + wide + 1, columns)])
             for s in range(start[j, i], start[j, i + 1]):
-                x, y, near, rays = table[AT_X, s], table[AT_Y, s], 0.0, 0.0
-                for q in range(low, high):
-                    some = _met_about(table, start[q, left], start[q, right], x, y, reach)
-                    near, rays = near + some[0], rays + some[1]
-                near /= max(rays, 1.0)
-                sums[:] = 0.0
-                for q in range(low, high):
-                    _received_about(table, start[q, left], start[q, right], s, reach, near, turn, sums)
+                _received_about(band, first, end, np.uint64(own[i] + s), reach, turn, sums)
                 k = np.int64(order[s])
                 for c in range(3):
                     if sums[c] > 0.0 and shares.albedo[k, c] > DIM:

@@ -119,6 +119,16 @@ class SharedLight:
             (TURN_OF_WORLD, self.world), (TURN_OF_WORLD, self.lamps), (TURN_OF_LOBE, self.lobes)
         ):  # fmt: skip
             if len(shares.rays):
+                eye = image.camera.world_from_camera[:, 3] if image.view.perspective else shares.position[0]
                 share_light(
-                    f.x, f.y, image.subpixels, image.reach, turn, shares, count, space.used.shape, space.light
+                    f.x,
+                    f.y,
+                    image.subpixels,
+                    image.reach,
+                    turn,
+                    shares,
+                    count,
+                    space.used.shape,
+                    eye,
+                    space.light,
                 )

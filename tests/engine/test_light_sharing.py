@@ -39,7 +39,8 @@ def shares_of(side, rng, spacing=0.1):
 
 def shared(shares, x, y, side, turn=TURN_OF_WORLD):
     out = np.zeros((len(x), 3), np.float32)
-    share_light(x, y, SUBPIXELS, REACH * SUBPIXELS, turn, shares, len(x), (side, side), out)
+    eye = np.zeros(3)
+    share_light(x, y, SUBPIXELS, REACH * SUBPIXELS, turn, shares, len(x), (side, side), eye, out)
     return out
 
 
