@@ -1,4 +1,4 @@
-"""Fragments: what is visible of a tile's entries, each shaded once, and where their light goes in the image.
+"""Fragments: what is visible of a tile's entries, each shaded once.
 
 A surfel is one fragment, however many subpixels show it; a triangle is one fragment in every pixel, seen from the
 middle of the subpixels where it is visible.
@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries, plane_of, triangle_to_camera
+from pointmr_engine.forward.draw import Entries, triangle_to_camera
 from pointmr_engine.forward.subpixels import EMPTY
 from pointmr_engine.forward.triangle_normals import interpolated_normal
 from pointmr_engine.hierarchy.surfels import NX, NY, NZ, RED, X, Y, Z
-from pointmr_engine.image.filters import filter_extent, filter_weight
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import load_i32
 
@@ -130,6 +129,15 @@ def _carry_normal(normals, row, x, y, z):
     return px * inverse, py * inverse, pz * inverse
 
 
+@device
+def _plane_normal(all_corners, i, normals, row):
+    """Unit normal of item i's triangle in camera space, to the side from which its corners go counter-clockwise."""
+    c = all_corners[i]
+    ax, ay, az = np.float64(c[3] - c[0]), np.float64(c[4] - c[1]), np.float64(c[5] - c[2])
+    bx, by, bz = np.float64(c[6] - c[0]), np.float64(c[7] - c[1]), np.float64(c[8] - c[2])
+    return _carry_normal(normals, row, ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+
+
 @uncounted
 def fill_fragments(
     view, left, low, octree, sets, all_corners, parts, looks, transforms, normals, entries: Entries, fragments:
@@ -145,7 +153,7 @@ def fill_fragments(
     last = np.int64(
         EMPTY
     )  # the triangle that `corners` and its normal belong to: neighbours often show the same one
-    nx = ny = nz = scale = 0.0
+    nx = ny = nz = 0.0
     for k in range(count):
         e = np.int64(fragments.entry[k])
         row = np.int64(entries.row[e])
@@ -180,9 +188,7 @@ def fill_fragments(
         if e != last:
             last = e
             triangle_to_camera(m, row, all_corners, i, corners)
-            nx, ny, nz = plane_of(corners)
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            scale = 1.0 / length if length > 0.0 else 0.0
+            nx, ny, nz = _plane_normal(all_corners, i, normals, row)
         dx, dy = ray_through(view, left + fragments.x[k], low + fragments.y[k])
         u, v = meet_plane(view, corners, dx, dy)
         u, v = max(u, 0.0), max(v, 0.0)
@@ -193,11 +199,7 @@ def fill_fragments(
         fragments.place[k, 0], fragments.place[k, 1] = u, v
         for r in range(3):
             fragments.position[k, r] = (1.0 - u - v) * corners[0, r] + u * corners[1, r] + v * corners[2, r]
-        fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = (
-            nx * scale,
-            ny * scale,
-            nz * scale,
-        )
+        fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = nx, ny, nz
         fill_look(parts, looks, normals, row, part, triangle, u, v, fragments, k)
 
 
@@ -237,76 +239,3 @@ def meet_plane(view, p, dx, dy):
     u = (tx * qx + ty * qy + tz * qz) / det
     wx, wy, wz = ty * az - tz * ay, tz * ax - tx * az, tx * ay - ty * ax
     return u, (rx * wx + ry * wy + rz * wz) / det
-
-
-def filter_taps(kind: str, width: float, subpixels: int) -> np.ndarray:
-    """(n,) float32 weights of the subpixels along one axis, about a pixel's centre; they sum to 1, n / subpixels is
-    odd."""
-    reach = max(0, int(np.ceil(filter_extent(kind, width) - 0.5 - 1e-9)))
-    n = (2 * reach + 1) * subpixels
-    edges = 64
-    offset = ((np.arange(n * edges) + 0.5) / edges - 0.5 * n) / subpixels
-    taps = filter_weight(kind, width, offset).reshape(n, edges).sum(1)
-    return (taps / taps.sum()).astype(np.float32)
-
-
-@device
-def _gather_line(ids, y, width, subpixels, light, background, line):
-    """Colours (width, 4) of row y's subpixels."""
-    below = y // subpixels
-    one = np.float32(1)
-    for left in range(0, width, subpixels):
-        p = left // subpixels
-        for x in range(left, left + subpixels):
-            k = ids[y, x]
-            if k >= 0:
-                line[x, 0] = light[k, 0]
-                line[x, 1] = light[k, 1]
-                line[x, 2] = light[k, 2]
-                line[x, 3] = one
-            else:
-                for c in range(4):
-                    line[x, c] = background[below, p, c]
-
-
-@device
-def _add_scaled(total, line, weight):
-    """total += weight * line, both flat."""
-    for i in range(len(total)):
-        total[i] += weight * line[i]
-
-
-@uncounted
-def filter_tile(ids, width, height, subpixels, light, background, taps, sums, line, out):
-    """Pixels of a tile: light of the fragments that its subpixels show, under the pixel filter.
-
-    ids as find_fragments left them; light (F, 3) float32; background (rows, columns, 4) float32 of the tile's pixels,
-    premultiplied with alpha, for empty subpixels; taps (n,) float32. sums (rows + 1, width * 4) and line (width, 4)
-    float32 to work in; out (h, w, 4) float32: the pixels whose filter lies inside the tile. width, height: multiples
-    of `subpixels`.
-    """
-    columns, rows, n = out.shape[1], out.shape[0], len(taps)
-    flat = line.reshape(-1)[: 4 * width]
-    for q in range(rows):
-        sums[q, : 4 * width] = np.float32(0)
-    for y in range(height):
-        _gather_line(ids, y, width, subpixels, light, background, line)
-        # every row of subpixels belongs to a few rows of pixels: those whose taps reach it
-        last = min(y // subpixels, rows - 1)
-        for q in range(max((y - n) // subpixels + 1, 0), last + 1):
-            _add_scaled(sums[q, : 4 * width], flat, taps[y - q * subpixels])
-    for q in range(rows):
-        for p in range(columns):
-            a = b = c = d = np.float32(0)
-            at = 4 * p * subpixels
-            for t in range(n):
-                weight = taps[t]
-                a += weight * sums[q, at]
-                b += weight * sums[q, at + 1]
-                c += weight * sums[q, at + 2]
-                d += weight * sums[q, at + 3]
-                at += 4
-            out[q, p, 0] = a
-            out[q, p, 1] = b
-            out[q, p, 2] = c
-            out[q, p, 3] = d

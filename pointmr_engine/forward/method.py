@@ -15,10 +15,8 @@ from pointmr_engine.forward import scattered
 from pointmr_engine.forward.baking import Baker
 from pointmr_engine.forward.cut_outs import build_cut_outs
 from pointmr_engine.forward.emissive_lamps import emissive_lamps
-from pointmr_engine.forward.fragments import (
-    filter_taps,
-)
 from pointmr_engine.forward.lambert import SimpleShading
+from pointmr_engine.forward.pixel_filter import filter_taps
 from pointmr_engine.forward.subpixels import make_view
 from pointmr_engine.forward.tiles import TILE, WIDE_TILE, Workspace
 from pointmr_engine.forward.walk import HARDLY, Hierarchy

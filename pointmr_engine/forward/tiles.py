@@ -9,9 +9,10 @@ from pointmr_engine.forward.fragments import (
     allocate_fragments,
     fill_fragments,
     fill_normal_matrices,
-    filter_tile,
     find_fragments,
 )
+from pointmr_engine.forward.leaks import close_leaks
+from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, filter_tile
 from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
 from pointmr_engine.forward.scattered import add_empty, add_fragments, count_shown, divide
 from pointmr_engine.forward.shadow_map import ShadowMaps
@@ -36,6 +37,7 @@ class Workspace:
         self.target = self.target_of(image, side)
         self.scratch = Scratch(self.target)
         self.fragments = allocate_fragments(side * side)  # at most; untouched pages cost nothing
+        self.leaks = np.empty(side * side, np.int32)
         self.fragment_of = np.empty(1 << 16, np.int32)
         self.wanted = np.zeros(len(image.sampler.octree.arrays.box), np.uint8)
         self.placed = allocate_placement_values(0)
@@ -114,6 +116,7 @@ class Workspace:
                 return missing
             self.shadow = self.shadow_maps.share
         self.image.shading.shade(self, hierarchy, count)
+        self.slopes = self._slopes(count)
         self._background(bounds)
         self._write(bounds, hierarchy, frame)
         return None
@@ -131,6 +134,10 @@ class Workspace:
             self.scratch.entries, self.fragment_of, self.empty, self.fragments,
         )  # fmt: skip
         self._fill(hierarchy, count)
+        self.closed += close_leaks(
+            self.target.ids, np.int64(self.width), np.int64(self.height), self.image.view.perspective,
+            np.float64(self.image.pixel / self.image.subpixels), self.fragments, np.int64(count), self.leaks,
+        )  # fmt: skip
         return count
 
     def _fill(self, hierarchy: Hierarchy, count: int) -> None:
@@ -144,6 +151,10 @@ class Workspace:
             hierarchy.corners, hierarchy.parts, self.image.sampler.looks, self.scratch.transforms, self.normals,
             self.scratch.entries, self.fragments, count, self.corners,
         )  # fmt: skip
+
+    def _slopes(self, count: int) -> Slopes:
+        """How the light of fragments 0..count changes across them."""
+        return NO_SLOPES
 
     def placement_values(self, hierarchy: Hierarchy):
         """What instances say about the tile's placements, a row each."""
@@ -209,7 +220,10 @@ class Workspace:
         out = np.empty((rows, columns, 4), np.float32)
         size = np.int64(self.width), np.int64(self.height), np.int64(image.subpixels)
         if image.settings.forward.reconstruction != "gaussian":
-            filter_tile(self.target.ids, *size, values, background, image.taps, self.sums, self.line, out)
+            filter_tile(
+                self.target.ids, *size, values, background, image.taps, self.sums, self.line, out, self.fragments,
+                self.slopes if values is self.light else NO_SLOPES,
+            )  # fmt: skip
             return out
         f, total = self.fragments, np.zeros((rows, columns, 5))
         apron, sigma = np.int64(image.apron), np.float64(image.sigma)

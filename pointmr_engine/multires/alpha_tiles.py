@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.fragments import Fragments, allocate_fragments
+from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes
 from pointmr_engine.forward.surfel_lanes import ALL_AREAS, PAD
 from pointmr_engine.image.filters import filter_weight
 from pointmr_engine.multires.a_buffer import (
@@ -258,6 +259,9 @@ class AlphaTiles(TracedTiles):
         missing = super().shade(bounds, hierarchy, frame)
         self.shading.counters.update(layers=self.layers)
         return missing
+
+    def _slopes(self, count: int) -> Slopes:
+        return NO_SLOPES  # no subpixel shows one fragment alone
 
     def _fragments(self, hierarchy) -> int:
         image, width, height = self.image, np.int64(self.width), np.int64(self.height)

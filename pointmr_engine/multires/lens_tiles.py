@@ -15,6 +15,7 @@ from pointmr_engine.forward.fragments import (
     fill_normal_matrices,
     find_fragments,
 )
+from pointmr_engine.forward.leaks import close_leaks
 from pointmr_engine.forward.method import depth_range
 from pointmr_engine.forward.placement_values import (
     PlacementValues,
@@ -221,6 +222,10 @@ class LensTiles(TracedTiles):
         fill_fragments(
             seen.view, np.int64(left), np.int64(low), hierarchy.octree, hierarchy.sets, hierarchy.corners,
             hierarchy.parts, image.sampler.looks, own.transforms, self.normals, own.entries, f, count, self.corners,
+        )  # fmt: skip
+        self.closed += close_leaks(
+            self.part.ids, width, height, seen.view.perspective,
+            np.float64(image.pixel * v / image.subpixels), f, np.int64(count), self.leaks,
         )  # fmt: skip
         self.open_in_view[:] = 0
         deal_out(

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pointmr_engine.forward.method import Image
+from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, allocate_slopes
 from pointmr_engine.forward.tiles import TILE, Workspace
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.cone_paths import ConePaths
@@ -21,6 +22,7 @@ from pointmr_engine.multires.light_sharing import REACH
 from pointmr_engine.multires.looks import look_where_seen
 from pointmr_engine.multires.merge import choose_seen, merge_fragments
 from pointmr_engine.multires.opacity_micromap import with_micromap
+from pointmr_engine.multires.slopes import COLUMNS, find_slopes
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -144,6 +146,18 @@ class TracedTiles(Workspace):
             image.view, np.int64(self.left), np.int64(self.low), image.camera.world_from_camera, self.fragments,
             np.int64(first), rows, self.seen, direction, rays,
         )  # fmt: skip
+
+    def _slopes(self, count: int) -> Slopes:
+        image = self.image
+        if image.views:  # they see a fragment in different places
+            return NO_SLOPES
+        sums, slopes = np.empty((count, COLUMNS), np.float32), allocate_slopes(count)
+        find_slopes(
+            self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
+            image.view.perspective, np.float64(image.footprint), self.fragments, self.light, np.int64(count), sums,
+            slopes,
+        )  # fmt: skip
+        return slopes
 
     def _fragments(self, hierarchy) -> int:
         count = super()._fragments(hierarchy)

@@ -1,0 +1,103 @@
+"""Slopes of light across fragments: exact where light is even or linear, and nothing made up at edges."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pointmr_engine.forward.pixel_filter import NO_SLOPES, allocate_slopes, filter_taps, filter_tile
+from pointmr_engine.multires.slopes import COLUMNS, ROOM, find_slopes
+from tests.engine.test_raytrace_parts import fragments
+
+CELL, SIDE = 4, 6  # subpixels of a fragment, fragments a side
+N = SIDE * SIDE
+
+
+def grid(**values):
+    """SIDE x SIDE fragments of one plane, and the subpixels that show them."""
+    f = fragments(N, **values)
+    j, i = np.divmod(np.arange(N), SIDE)
+    f.x[:], f.y[:] = CELL * (i + 0.5), CELL * (j + 0.5)
+    ids = np.arange(N, dtype=np.int32).reshape(SIDE, SIDE).repeat(CELL, 0).repeat(CELL, 1)
+    return f, ids
+
+
+def slopes_of(f, ids, light):
+    out, n = allocate_slopes(len(light)), np.int64(len(light))
+    size = (np.int64(a) for a in (*ids.shape[::-1], CELL))
+    light = np.asarray(light, np.float32)
+    find_slopes(ids, *size, False, np.float64(1.0), f, light, n, np.empty((n, COLUMNS), np.float32), out)
+    return out
+
+
+def by_place(f, gx, gy):
+    return np.repeat((1.0 + gx * f.x + gy * f.y)[:, None], 3, 1)
+
+
+@given(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02))
+def test_linear_light_has_its_slope(gx, gy):
+    f, ids = grid()
+    found = slopes_of(f, ids, by_place(f, gx, gy))
+    inner = np.pad(np.ones((SIDE - 2, SIDE - 2), bool), 1).ravel()
+    for values, slope in ((found.x, gx), (found.y, gy)):
+        np.testing.assert_allclose(values[inner], slope, rtol=0.02, atol=1e-5)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1000))
+def test_no_place_is_much_brighter_or_darker_than_what_is_about_it(seed):
+    rng = np.random.default_rng(seed)
+    f, ids = grid()
+    light = rng.exponential(1.0, (N, 3)) ** 3
+    found = slopes_of(f, ids, light)
+    corner = 0.5 * CELL * (abs(found.x) + abs(found.y))
+    cells = light.reshape(SIDE, SIDE, 3)
+    for j in range(SIDE):
+        for i in range(SIDE):
+            about = [
+                cells[q, p]
+                for q, p in ((j - 1, i), (j + 1, i), (j, i - 1), (j, i + 1))
+                if 0 <= q < SIDE and 0 <= p < SIDE
+            ]
+            own = cells[j, i]
+            room = ROOM * np.minimum(
+                np.maximum(np.max(about, 0) - own, 0), np.maximum(own - np.min(about, 0), 0)
+            )
+            assert (corner[j * SIDE + i] <= room * 1.001 + 1e-5).all()  # none at all at a peak
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"part": np.arange(N) % SIDE // 3},
+        {"geometric": np.where((np.arange(N) % SIDE < 3)[:, None], (0, 0, -1), (0, -0.8, -0.6))},
+        {"position": np.where((np.arange(N) % SIDE < 3)[:, None], (0, 0, 2.0), (0, 0, 9.0))},
+        {"normal": np.full((N, 3), (0, 0, -0.5))},  # clumps: what one place of each was met by
+    ],
+    ids=["another mesh", "an edge", "behind", "clumps"],
+)
+def test_light_of_other_surfaces_says_nothing(values):
+    f, ids = grid(**values)
+    light = np.where((np.arange(N) % SIDE < 3)[:, None], 1.0, 5.0) * np.ones((N, 3))
+    found = slopes_of(f, ids, light)
+    assert not found.x.any() and not found.y.any()
+
+
+@given(st.integers(0, 1000))
+def test_the_filter_keeps_the_mean_and_shows_linear_light_as_it_is(seed):
+    rng = np.random.default_rng(seed)
+    f, ids = grid()
+    gx, gy = rng.uniform(-0.02, 0.02, 2)
+    light = by_place(f, gx, gy).astype(np.float32)
+    subpixels = 2 * CELL
+    pixels = ids.shape[0] // subpixels
+    taps = filter_taps("box", 1.0, subpixels)
+    found = []
+    for slopes in (slopes_of(f, ids, light), NO_SLOPES):
+        out = np.empty((pixels, pixels, 4), np.float32)
+        size = (np.int64(a) for a in (*ids.shape, subpixels))
+        nothing = np.zeros((pixels, pixels, 4), np.float32)
+        sums, line = np.empty((pixels, 4 * ids.shape[1]), np.float32), np.empty((ids.shape[1], 4), np.float32)
+        filter_tile(ids, *size, light, nothing, taps, sums, line, out, f, slopes)
+        found.append(out)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-5)  # whole cells under a box: slopes cancel
