@@ -135,26 +135,49 @@ def _group(buffer, groups, mask, cones, n, merging):
 
 
 @device
-def _nth_bit(mask, k):
-    """Index of the k-th set bit."""
-    while k > 0:
-        mask &= mask - 1
-        k -= 1
-    return trailing_zeros(mask)
+def _choose_bit(mask, weights, n, chance):
+    """One of the set bits, by the weights that the sub-rays of cone n have, or where there are none by equal ones."""
+    known = len(weights) > 0
+    total, rest = 0.0, mask
+    while rest != 0:
+        bit = trailing_zeros(rest)
+        rest &= rest - 1
+        total += np.float64(weights[n, bit]) if known else 1.0
+    target, chosen = chance * total, trailing_zeros(mask)
+    rest = mask
+    while rest != 0:
+        bit = trailing_zeros(rest)
+        rest &= rest - 1
+        weight = np.float64(weights[n, bit]) if known else 1.0
+        if weight > 0.0:
+            chosen = bit
+            if target < weight:
+                break
+            target -= weight
+    return chosen
 
 
-@device
-def _bits_in(mask):
-    count = np.int64(0)
-    while mask != 0:
-        mask &= mask - 1
-        count += 1
-    return count
+_NO_WEIGHTS = np.empty((0, 64), np.float32)
 
 
 @uncounted
 def _fragments(
-    w, s, cones, escaped, counters, levels, scratch, style, buffer, groups, merging, choice, out, start, stop
+    w,
+    s,
+    cones,
+    weights,
+    escaped,
+    counters,
+    levels,
+    scratch,
+    style,
+    buffer,
+    groups,
+    merging,
+    choice,
+    out,
+    start,
+    stop,
 ):
     """Fragments of cones[start:stop] in rows 0, 1, ...; returns how many."""
     row = np.int64(0)
@@ -172,7 +195,7 @@ def _fragments(
             h = ((h ^ (h >> 15)) * 0x2C1B3C6D) & 0xFFFFFFFF
             h = ((h ^ (h >> 12)) * 0x297A2D39) & 0xFFFFFFFF
             h ^= h >> 15
-            bit = _nth_bit(bits, (_bits_in(bits) * (h & 0xFFFF)) >> 16)
+            bit = _choose_bit(bits, weights, n, (h & 0xFFFF) / 65536.0)
             k = np.int64(buffer.owner[bit])
             choose(w, s, cones, n, bit, buffer.entry[k], buffer.place_matrix, buffer.place_chain, buffer.place_length,
                    h, choice, out, row)  # fmt: skip
@@ -202,12 +225,14 @@ def gather(
     stop: int | None = None,
     style: Style = Style(),  # noqa: B008  (immutable)
     merging: Merging = Merging(),  # noqa: B008
+    weights: np.ndarray = _NO_WEIGHTS,
 ) -> int:
     """What cones[start:stop] meet first, as fragments 0, 1, ... in the order of the cones; returns how many.
 
     fragments, rays, hits: room for merging.most * (stop - start) rows, of which that many are written: the ray from the
     cone's beginning to the point that stands for a fragment, and its hit as walk.intersect would give it. escaped (N,)
-    uint64: rows start to stop become the sub-rays that meet nothing. counters (COUNTERS,) int64, added to. Where
+    uint64: rows start to stop become the sub-rays that meet nothing. weights (N, 64) float32: how likely each sub-ray
+    is to be the one that is taken for a fragment; none: all the same. counters (COUNTERS,) int64, added to. Where
     materials may be transparent and hits are shaded as such, `prefiltered` must be without opacity. Releases the GIL.
     """
     levels, scratch = allocate(acceleration)
@@ -235,8 +260,8 @@ def gather(
     )
     w = acceleration.pointers
     count = _fragments(
-        w, scene_of(prefiltered), cones, escaped.view(np.int64), counters, levels, scratch, style, buffer, groups,
-        merging, allocate_choice(depth), out, start, stop,
+        w, scene_of(prefiltered), cones, weights, escaped.view(np.int64), counters, levels, scratch, style, buffer,
+        groups, merging, allocate_choice(depth), out, start, stop,
     )  # fmt: skip
     _describe(w, out, 0, count)
     if merging.exact:

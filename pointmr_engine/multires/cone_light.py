@@ -44,9 +44,9 @@ class ConeLight:
         if len(wide) <= FEW and len(turns) <= FEW:
             turns += [(WORLD, 0)] * (arrays.tree.leaf_of_world != -1)
             turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
-            self.rays = lights.asked(turns)
+            self.rays, self.many = lights.asked(turns), False
         else:
-            wide, self.rays = [], lights.taken(MANY_RAYS)
+            wide, self.rays, self.many = [], lights.taken(MANY_RAYS), True
         # rays that pass leaves are dear
         dear = 2 if stage.needs.transparent_shadows else 1
         self.worth, self.world_rays = WORTH / dear, WORLD_RAYS // dear

@@ -63,6 +63,8 @@ class ConePaths(SharingPaths):
         self.masks = np.empty(n, np.uint64)
         self.lobe_alpha, self.behind = np.zeros(n, np.float32), np.ones((n, 3), np.float32)
         self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
+        # behind first surfaces, lobes and samples share the lamps but where these have cones
+        self.glinting, self.glints = np.inf if light.many else STRONG, False
         self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
         self.going = 0
 
@@ -89,11 +91,11 @@ class ConePaths(SharingPaths):
         keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
         if bounce:
             weak = alive & (now.throughput[:n].max(1) < STRONG)
-            self.stage = self.weak_stage
+            self.stage, self.glints = self.weak_stage, True
             super()._direct_light(now, n, weak, bounce)
             lobes.count[:n][weak] = 0
             alive = alive & ~weak
-        self.stage = self.strong_stage
+        self.stage, self.glints = self.strong_stage, bounce > 0 and light.many
         if bounce == 0:
             self.shared_light.begin(lobes, now.throughput, self.frames.position, self.first, n)
         if light.rays.turns:
@@ -115,7 +117,7 @@ class ConePaths(SharingPaths):
         return chosen
 
     def connect(self, now, m: int, chosen) -> int:
-        glints, kind = self.stage is self.weak_stage, chosen.kind
+        glints, kind = self.glints, chosen.kind
         shared = glints or bool((kind == TRIANGLE).any())
         if shared:
             pdf = self._own_pdf(m, chosen)
@@ -135,7 +137,8 @@ class ConePaths(SharingPaths):
 
     def _own_pdf(self, m: int, chosen) -> np.ndarray:
         """(m,) densities of samples against those of lobes: of emitters as `_emission` asks for them."""
-        pdf = np.where(chosen.kind == LAMP, chosen.pdf, 0.0)
+        times = max(self.stage.lights.turns.count(None), 1)  # lobes know of one sample
+        pdf = np.where(chosen.kind == LAMP, chosen.pdf / times, 0.0)
         found = np.flatnonzero(chosen.kind == TRIANGLE)
         if len(found):
             pdf[found] = self.strong_stage.lights.emitter_pdf(
@@ -182,7 +185,7 @@ class ConePaths(SharingPaths):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self.none_small if self.small is None else self.small, self.limit,
+            self.integrated, self.none_small if self.small is None else self.small, self.limit, self.glinting,
             self.shared_light.lobes, np.int64(self.first),
         )  # fmt: skip
 
@@ -214,7 +217,7 @@ class ConePaths(SharingPaths):
         if cones:
             count = gather(
                 light.acceleration, light.prefiltered()[1], lobes.cones, self.met_fragments, met.rays, hits,
-                self.escaped, None, 0, n, merging=merging,
+                self.escaped, None, 0, n, merging=merging, weights=lobes.weights,
             )  # fmt: skip
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,

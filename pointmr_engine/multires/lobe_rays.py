@@ -25,6 +25,16 @@ from pointmr_engine.shading.lobes import evaluate as evaluate_all
 # roughness (GGX alpha) above which lobes take rays, at one cone a pixel: their cones would be too wide. With more
 # cones it is less, as the rays' noise is and the cones' bias is not
 ROUGH = 0.15
+# rays of a first surface's lobe: so many for all of the light, up to MOST. A bright place that one ray in many meets is
+# most of the noise where little else shines, as at rims, and these rays are few against shadow rays
+EACH, MOST = 64.0, 4
+STEP = (0.7548776662466927, 0.5698402909980532)  # Roberts' low-discrepancy steps in two dimensions
+
+
+@device
+def rays_of(throughput, small):
+    """How many rays the lobe of a first surface takes; small: it weighs too little for more than one."""
+    return np.int64(1) if small else min(max(np.int64(EACH * throughput), np.int64(1)), np.int64(MOST))
 
 
 @device

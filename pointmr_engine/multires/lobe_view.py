@@ -241,8 +241,8 @@ def follow_cones(
     """Paths for what the cones of paths 0..n see, into out; returns (rows of hits, of escapes, of straight rays).
 
     fragments: count rows of cone_hits.gather, whose rays and hits are rows 0..count of out.rays and hits already. alpha
-    (M,) float32: roughness of what is left of the lobe in each row; of a ray, `around` times the lobe's. behind (M, 3)
-    float32: LobeCones.behind of each row. Straight rays have yet to be walked.
+    (M,) float32: roughness of what is left of the lobe in each row; of what is met, `around` times its part. behind
+    (M, 3) float32: LobeCones.behind of each row. Straight rays have yet to be walked.
     """
     for r in range(count):
         k = np.int64(fragments.cone[r])
@@ -254,7 +254,8 @@ def follow_cones(
         share = math.sqrt(min(weight, 1.0))
         a = max(np.float64(lobes.alpha[k]), 0.0)
         out.state.spread[r] += 2.0 * a * share
-        alpha[r] = a * share
+        # the sub-ray that met it was chosen within the lobe, as a ray is
+        alpha[r] = around * a * share
     m = np.int64(count)
     for k in range(n):
         if lobes.alpha[k] < 0 or escaped[k] == np.uint64(0) or m >= room:

@@ -12,19 +12,17 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
-from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
 from pointmr_engine.multires.light_sharing import add_lobe, clear_share
-from pointmr_engine.multires.lobe_rays import behind_glossy, draw_direction, takes_ray
+from pointmr_engine.multires.lobe_paths import WIDEST, go_on, no_cone, open_cone, pass_through, send_ray
+from pointmr_engine.multires.lobe_rays import MOST, STEP, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobe_shares import mean_roughness
-from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, WITHIN_LOBE, lobe_pdf
+from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d, sample_2d
-from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, SEES_LAMPS, THROUGH, copy_path, copy_ray
-from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
+from pointmr_engine.raytracing.paths import LAST, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     GLASS,
-    HAS_TRANSMISSION,
     IOR,
     KIND_MASK,
     NORMAL,
@@ -42,82 +40,10 @@ CORE, REST = (
     2.0,
     10.0,
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
-WIDEST = 3.0  # tangent of a cone's half angle at most
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
-
-
-@device
-def _continue(
-    paths, k, out, m, hits, frames, normal, flags, limits, r, g, b, dx, dy, dz, kind, glossy, transmission
-):
-    """Row m of `out` becomes the path k after one more bounce, with throughput (r, g, b)."""
-    a, s = paths.state, out.state
-    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS)
-    s.depth[m] = a.depth[k] + 1
-    s.diffuse_depth[m] = a.diffuse_depth[k]
-    s.glossy_depth[m] = a.glossy_depth[k] + glossy
-    s.transmission_depth[m] = a.transmission_depth[k] + transmission
-    s.transparent_depth[m] = a.transparent_depth[k]
-    if (
-        s.depth[m] > limits.bounces
-        or s.glossy_depth[m] > limits.glossy
-        or s.transmission_depth[m] > limits.transmission
-    ):
-        path_flags |= FINAL
-    s.kind[m] = kind
-    s.length[m] = 0
-    out.flags[m] = path_flags
-    out.slot[m] = paths.slot[k]
-    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
-    out.bsdf_pdf[m] = math.inf
-    out.origin_transmissive[m] = (flags[k] & HAS_TRANSMISSION) != 0
-    for c in range(3):
-        out.rays.origin[m, c] = frames.position[k, c]
-        out.origin_normal[m, c] = normal[k, c]
-    out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = dx, dy, dz
-    out.rays.t_min[m] = frames.offset[k]
-    out.rays.t_max[m] = math.inf
-    out.rays.visibility[m] = TRANSMISSION if transmission else GLOSSY
-    out.rays.skip_triangle[m] = hits.triangle[k]
-    out.rays.skip_path[m] = hits.path[k]
-    s.width[m] = a.width[k] + a.spread[k] * hits.t[k]
-
-
-@device
-def _open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
-    """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it; grain: of its cells."""
-    set_axes(cones, m, ix, iy, iz, dx, dy, dz)
-    start, spread = 0.5 * out.state.width[m], 0.5 * out.state.spread[m]
-    if wide > 0.0:
-        # sub-rays leave elsewhere in the lobe from point to point, lest their cells show
-        o = out.rays.origin
-        turn = jitter(o[m, 0], o[m, 1], o[m, 2], out.state.width[m])
-        a = 0.25 * grain * (turn[0] - 0.5)
-        b = 0.25 * grain * across * (turn[1] - 0.5)
-        ax = cones.axes
-        dx, dy, dz = (
-            dx + a * ax[m, 0, 0] + b * ax[m, 1, 0],
-            dy + a * ax[m, 0, 1] + b * ax[m, 1, 1],
-            dz + a * ax[m, 0, 2] + b * ax[m, 1, 2],
-        )
-        inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-        set_axes(cones, m, ix, iy, iz, dx * inverse, dy * inverse, dz * inverse)
-    for a in range(3):
-        cones.origin[m, a] = out.rays.origin[m, a]
-    # a plane across the axis would begin below the surface: only mirrors need the footprint, and less of their way
-    steep = abs(ix * dx + iy * dy + iz * dz)
-    slope = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
-    if wide > 0.0:
-        start = 0.0
-    cones.start[m, 0] = cones.start[m, 1] = start
-    cones.spread[m, 0] = min(wide + spread, WIDEST)
-    cones.spread[m, 1] = min(wide * across + spread, WIDEST)
-    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], start * slope)
-    cones.t_max[m] = out.rays.t_max[m]
-    cones.visibility[m] = out.rays.visibility[m]
 
 
 @device
@@ -184,25 +110,16 @@ def _place(tables, samples, slot, bounce, k, j):
     return sample_2d(tables, seed, np.uint32(LOBE_PLACES + 16 * bounce + (j & 15)), samples.number[slot])
 
 
-@device
-def _no_cone(record, m, alpha):
-    """Row m of the cones is a ray, of what kind `alpha` says (lobe_view)."""
-    record.alpha[m] = alpha
-    record.part[m] = 0
-    record.cones.t_min[m] = record.cones.t_max[m] = 0.0
-    for c in range(3):
-        record.behind[m, c] = 1
-
-
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, limit, shares, first_share):  # fmt: skip
+                  record, integrated, small, limit, glinting, shares, first_share):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
     transparency is a path without a cone of its own: the ray goes on. integrated (N, L) bool: lobes whose cones
     find all that shines on them, without chance. small (N,) bool: points that weigh too little to be worth cones.
-    limit: roughness above which lobes take rays. shares: what rays of the first surfaces' lobes find is shared by
+    limit: roughness above which lobes take rays; glinting: throughput below which lobes behind first surfaces look for
+    lamps. shares: what rays of the first surfaces' lobes find is shared by
     these rows, from first_share on (none: not at all).
     """
     m = np.int64(0)
@@ -213,7 +130,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             clear_share(shares, first_share + k, p[k, 0], p[k, 1], p[k, 2])
         if not alive[k]:
             continue
-        crowded = m + 4 * np.int64(lobes.count[k]) + (n - k) > room
+        crowded = m + (MOST + 2) * np.int64(lobes.count[k]) + (n - k) > room
         wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
         t = paths.throughput[k]
         clear = (0.0, 0.0, 0.0)
@@ -230,7 +147,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         if not total > 0.0:
             continue
         chosen = bounce > 0 or total < SPLIT or crowded
-        glints = bounce > 0 and _largest(t) < STRONG
+        glints = bounce > 0 and _largest(t) < glinting
         strong = STRONG if bounce == 0 else 1.0
         slot = paths.slot[k]
         target = chance = 0.0
@@ -242,8 +159,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         f = _branch(chosen, _largest(clear), before, target, total)
         before += max(_largest(clear), 0.0)
         if f > 0.0:
-            _pass(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
-            _no_cone(record, m, STRAIGHT)
+            pass_through(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
+            no_cone(record, m, STRAIGHT)
             m += 1
         for j in range(np.int64(lobes.count[k])):
             integrated[k, j] = False
@@ -261,10 +178,14 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
                 )
                 u, v = _place(tables, samples, slot, bounce, k, j)
-                m = _reflect(
-                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
-                    glints, integrated[k, j], small[k], rough, ray,
-                )  # fmt: skip
+                times = rays_of(_largest(r), small[k]) if ray and bounce == 0 and not crowded else 1
+                r, f = (r[0] / times, r[1] / times, r[2] / times), f / times
+                for _ in range(times):
+                    m = _reflect(
+                        paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
+                        glints, integrated[k, j], small[k], rough, ray,
+                    )  # fmt: skip
+                    u, v = (u + STEP[0]) % 1.0, (v + STEP[1]) % 1.0
             f = _branch(chosen, _largest(g), before, target, total)
             before += _largest(g)
             if f > 0.0:
@@ -278,20 +199,6 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         if chosen and m == first + 1 and not _survives(out, first, chance):
             m = first
     return m
-
-
-@device
-def _send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind, glossy, transmission, record,
-              rough):  # fmt: skip
-    """Row m of `out` becomes a ray within a lobe, in direction wo."""
-    t = paths.throughput[k]
-    _continue(
-        paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0] * t[0] * factor, w[1] * t[1] * factor,
-        w[2] * t[2] * factor, wo[0], wo[1], wo[2], kind, glossy, transmission,
-    )  # fmt: skip
-    out.state.spread[m] = paths.state.spread[k]
-    _no_cone(record, m, WITHIN_LOBE)
-    record.rough[m] = rough
 
 
 @device
@@ -310,7 +217,7 @@ def _reflect(
     if ray:
         wo, weight = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
-            _send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
+            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
                       np.int64(1), np.int64(0), record, rough)  # fmt: skip
             if glints:
                 out.flags[m] |= SEES_LAMPS
@@ -330,14 +237,14 @@ def _reflect(
     for part in range(2 if two else 1):
         if part == 1:
             wide *= REST / CORE
-        _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
+        go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
                   RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
         if glints and singular == 0:
             out.flags[m] |= SEES_LAMPS
         if singular == 0 and not integrated:
             out.bsdf_pdf[m] = BY_LOBE
         out.state.spread[m] = paths.state.spread[k]
-        _open_cone(record.cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2])
+        open_cone(record.cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2])
         record.alpha[m] = 0.0 if singular else rough
         record.part[m] = part + 1 if two else 0
         record.ray[m] = small
@@ -363,7 +270,7 @@ def _refract(
     if ray:
         wo, weight = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
-            _send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
+            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
                       RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
             m += 1
         return m
@@ -372,32 +279,14 @@ def _refract(
         return m
     along = inverse * cosine - math.sqrt(square)
     d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
-    _continue(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
+    go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
     out.state.spread[m] = paths.state.spread[k]
     wide = 0.0 if singular else WIDE * bend
-    _open_cone(record.cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
+    open_cone(record.cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
     record.alpha[m] = 0.0 if singular else bend
     record.part[m] = 0
     record.ray[m] = small
     for c in range(3):
         record.normal[m, c] = 0
     return m + 1
-
-
-@device
-def _pass(paths, k, out, m, hits, frames, limits, r, g, b):
-    """Row m of `out` becomes the path k, begun again behind the surface that it passes straight."""
-    copy_path(paths, k, 1.0, out, m)
-    copy_ray(paths.rays, k, out.rays, m)
-    passed = paths.state.transparent_depth[k] + 1
-    out.state.transparent_depth[m] = passed
-    out.state.length[m] = 0
-    path_flags = np.int64(paths.flags[k]) | THROUGH
-    if passed >= limits.transparent:
-        path_flags |= LAST
-    out.flags[m] = path_flags
-    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
-    out.rays.t_min[m] = hits.t[k] + frames.offset[k]
-    out.rays.skip_triangle[m] = hits.triangle[k]
-    out.rays.skip_path[m] = hits.path[k]

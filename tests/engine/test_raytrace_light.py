@@ -20,6 +20,7 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
+from pointmr_engine.multires.lobe_rays import MOST, rays_of
 from pointmr_engine.multires.lobe_view import lobe_pdf
 from pointmr_engine.multires.merge import choose_seen
 from pointmr_engine.multires.shadow_edges import LARGE, find_edges
@@ -208,6 +209,49 @@ def test_rough_metal_is_as_dark_as_what_it_faces():
     low, high = np.s_[10:16, 10:-10], np.s_[22:28, 10:-10]
     for part in (low, high):
         assert ours[part].mean() == pytest.approx(exact[part].mean(), rel=0.04)
+
+
+@pytest.mark.parametrize("count", [1, 5])  # a cone for each, and rays to one of many
+def test_metal_shows_the_lamps_of_a_mirror(count):
+    """Behind a lobe's cone or ray a mirror is a narrow lobe, whose lamps light samples find as well."""
+    mirror = principled("mirror", base_color=(0.95, 0.95, 0.95), metallic=1.0, roughness=0.0)
+    metal = principled("metal", base_color=(0.8, 0.8, 0.8), metallic=1.0, roughness=0.15)
+    wall = card("wall", [(-3, 2, -1), (3, 2, -1), (3, 2, 3), (-3, 2, 3)], mirror)
+    lamps = [
+        Light("AREA", look((x, -3, 1.5), (x, 2, -0.6)), power=20.0, size_x=0.3, size_y=0.3)
+        for x in np.linspace(-2.0, 2.0, count) * (count > 1)
+    ]
+    camera = Camera(look((0, -1.5, 0.8), (0, 2, -0.2)))
+    scene = Scene(Group("root", [quad(8.0, -0.1, metal, "floor"), wall]), camera, lamps, DARK)
+    cache, floor = Cache(), slice(12, 20)
+    exact = np.mean([image(scene, cache, method="distributed", samples=512, seed=s) for s in range(2)], 0)
+    ours = np.mean([image(scene, cache, seed=s) for s in range(6)], 0)
+    assert ours[floor].mean() == pytest.approx(exact[floor].mean(), rel=0.08)
+
+
+# Rays of lobes
+
+
+def test_lobes_that_carry_much_take_several_rays_and_small_fragments_one():
+    assert [rays_of.py_func(np.float64(t), False) for t in (0.001, 0.04, 0.9)] == [1, 2, MOST]
+    assert rays_of.py_func(np.float64(0.9), True) == 1
+
+
+def test_rays_of_a_lobe_share_what_it_carries():
+    """A rough metal floor under a sky that shines on one side: as bright as by random rays, at four rays each."""
+    metal = principled("metal", base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.6)
+    shining = principled("shining", emission_strength=3.0, emission_color=(1.0, 1.0, 1.0))
+    wall = card("wall", [(-6, 3, 0), (6, 3, 0), (6, 3, 6), (-6, 3, 6)], shining)
+    camera = Camera(look((0, -3, 2), (0, 0, 0)))
+    scene = Scene(Group("root", [quad(5.0, material=metal), wall]), camera, [], DARK)
+    cache = Cache()
+    exact = image(scene, cache, method="distributed", samples=256)
+    frame = render(scene, RenderSettings(48, 36, method="raytrace"), cache=cache)
+    sent = frame.stats["counters"]
+    assert sent["lobe_rays"] > 2 * sent["fragments"]
+    ours = np.mean([image(scene, cache, seed=s) for s in range(6)], 0)
+    floor = np.s_[4:20, 8:-8]
+    assert ours[floor].mean() == pytest.approx(exact[floor].mean(), rel=0.02)
 
 
 # Diffuse light behind glossy lobes
