@@ -20,7 +20,6 @@ from pointmr_engine.shading.bsdf.layout import (
     ALPHA_Y,
     ASHIKHMIN_SHIRLEY,
     GLASS,
-    HAS_EVALUATION,
     HAS_TRANSMISSION,
     IOR,
     KIND_MASK,
@@ -56,8 +55,6 @@ def _widen(lobes, i, alpha, extra):
         lobes.data[i, j, ALPHA_Y] = y
         if x * y > SINGULAR_ALPHA_SQUARED:
             lobes.kind[i, j] = kind & ~SINGULAR_LOBE
-            if base != GLASS and base != REFRACTION:  # lamps in narrow refractions are left to chance
-                lobes.flags[i] |= HAS_EVALUATION
         else:
             lobes.kind[i, j] = kind | SINGULAR_LOBE
 

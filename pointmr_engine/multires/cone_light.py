@@ -53,6 +53,8 @@ class ConeLight:
         self.shares_world = (WORLD, 0) in self.rays.turns
         self.shares_lamps = None in self.rays.turns
         self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0
+        # a mirror never shows a lamp that is a point
+        self.extended = lamps > 0 and bool(arrays.lamps.mis.all())
         of = arrays.lamps.source
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
         self._sampler, self._lock = sampler, threading.Lock()

@@ -16,7 +16,7 @@ from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_rays import ROUGH
-from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, share_with_lobes
+from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, sample_widened, share_with_lobes
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
 from pointmr_engine.multires.shadow_edges import LARGE
@@ -90,6 +90,8 @@ class ConePaths(SharingPaths):
         lobes.count[:n][~alive] = 0
         keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
         if bounce:
+            if light.extended:
+                sample_widened(lobes, now.throughput, self.glinting, np.int64(n))
             weak = alive & (now.throughput[:n].max(1) < STRONG)
             self.stage, self.glints = self.weak_stage, True
             super()._direct_light(now, n, weak, bounce)

@@ -14,6 +14,7 @@ from pointmr_engine.shading.bsdf.layout import (
     ALPHA_Y,
     ASHIKHMIN_SHIRLEY,
     GLASS,
+    HAS_EVALUATION,
     KIND_MASK,
     NORMAL,
     REFRACTION,
@@ -81,6 +82,22 @@ def restore_lobes(lobes, rows, samples, glints, count, kept):
             for j in range(np.int64(lobes.count[k])):
                 for c in range(3):
                     lobes.data[k, j, WEIGHT + c] = kept[i, j, c]
+
+
+@uncounted
+def sample_widened(lobes, throughput, below, count):
+    """Let light samples look for lamps in mirrors that are seen as narrow lobes, where lobes share these (`glints`).
+
+    Points 0..count of a throughput `below` that. Lamps in narrow refractions are left to rays that meet them.
+    """
+    for k in range(count):
+        if max(throughput[k, 0], throughput[k, 1], throughput[k, 2]) >= below:
+            continue
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            base = kind & KIND_MASK
+            if base > TRANSLUCENT and base != REFRACTION and base != GLASS and not kind & SINGULAR_LOBE:
+                lobes.flags[k] |= HAS_EVALUATION
 
 
 @uncounted

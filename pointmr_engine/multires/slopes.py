@@ -52,7 +52,7 @@ def _compare(f: Fragments, light, a, b, footprint, perspective, sums):
 
 
 @device
-def _solve(sums, k, half, out: Slopes):
+def _solve(sums, light, k, half, out: Slopes):
     """Slopes of fragment k, within what its neighbours allow; half: of a fragment's width, subpixels."""
     steady = np.float32(STEADY) * (sums[k, XX] + sums[k, YY])
     xx, yy, xy = sums[k, XX] + steady, sums[k, YY] + steady, sums[k, XY]
@@ -62,7 +62,9 @@ def _solve(sums, k, half, out: Slopes):
         u, v = sums[k, X_LIGHT + c], sums[k, Y_LIGHT + c]
         gx, gy = inverse * (yy * u - xy * v), inverse * (xx * v - xy * u)
         corner = half * (abs(gx) + abs(gy))
-        room = np.float32(ROOM) * min(sums[k, MOST + c], -sums[k, LEAST + c])
+        room = min(
+            np.float32(ROOM) * min(sums[k, MOST + c], -sums[k, LEAST + c]), max(light[k, c], np.float32(0))
+        )
         part = room / corner if corner > room else np.float32(1)
         out.x[k, c], out.y[k, c] = part * gx, part * gy
 
@@ -91,4 +93,4 @@ def find_slopes(ids, width, height, cell, perspective, pixel, fragments, light, 
                 last_a, last_b = a, b
                 _compare(f, light, a, b, footprint, perspective, sums)
     for k in range(count):
-        _solve(sums, k, np.float32(0.5 * cell), out)
+        _solve(sums, light, k, np.float32(0.5 * cell), out)
