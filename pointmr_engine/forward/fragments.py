@@ -38,6 +38,9 @@ class Fragments(NamedTuple):
     row: np.ndarray  # (F,) int32 of the transforms
 
 
+SOLID = 0.9  # squared length of a mean normal, below which a piece is a clump
+
+
 def allocate_fragments(n: int) -> Fragments:
     """Room for n fragments, undefined."""
     f, i = np.float32, np.int32
@@ -90,6 +93,13 @@ def find_fragments(ids, width, height, subpixels, entries: Entries, fragment_of,
         out.x[k] = out.x[k] * inverse + np.float32(0.5)
         out.y[k] = out.y[k] * inverse + np.float32(0.5)
     return count
+
+
+@device
+def is_clump(f: Fragments, k):
+    """Whether fragment k is of a piece that faces no one side. Triangles whose normal is looked up later are none."""
+    square = f.normal[k, 0] ** 2 + f.normal[k, 1] ** 2 + f.normal[k, 2] ** 2
+    return square > np.float32(0) and square < np.float32(SOLID)
 
 
 @device

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.fragments import Fragments
+from pointmr_engine.forward.fragments import Fragments, is_clump
 from pointmr_engine.numerics.jit import device, uncounted
 
 REACH = 2  # subpixels: how far from a leak the surface is looked for
@@ -17,14 +17,12 @@ ALIKE = 0.7  # least cosine between the normals of its two sides
 BEHIND = 2.0  # times as far behind the surface as its two sides are from each other
 THIN = 3  # subpixels of what is taken for a gap at a rim
 RIM = 8.0  # subpixels: as far behind the near side as it may lie there
-SOLID = 0.9  # squared length of a mean normal, below which a piece is a clump that has no side
 
 
 @device
-def faces_away(f: Fragments, k, perspective):
-    """Whether fragment k shows its back to the eye. Clumps do not, for they have none."""
-    square = f.normal[k, 0] ** 2 + f.normal[k, 1] ** 2 + f.normal[k, 2] ** 2
-    if square > np.float32(0) and square < np.float32(SOLID):  # 0: a triangle whose normal is looked up later
+def _shows_back(f: Fragments, k, perspective):
+    """Whether fragment k turns its back on the eye. Clumps do not, for they have none."""
+    if is_clump(f, k):
         return False
     away = np.float64(f.geometric[k, 2])
     if perspective:
@@ -98,20 +96,21 @@ def close_leaks(ids, width, height, perspective, subpixel, fragments: Fragments,
     """Let the surface show that fragments 0..count of a tile leak through; returns how many subpixels did.
 
     ids as fragments.find_fragments left them. Fragments leak as a whole or not at all, and nothing shows those that
-    do any more: the order of the others stays. subpixel: its width at depth 1
-    (perspective) or in metres; leaks (F,) int32 to work in: how much of each that faces away is a leak.
+    do any more: the order of the others stays. subpixel: its width at depth 1 (perspective) or in metres; leaks (F,)
+    int32 to work in: of those that show their backs, in how many subpixels they leak; -1 for the others.
     """
     f = fragments
     for k in range(count):
-        leaks[k] = 0 if faces_away(f, k, perspective) else -1
+        leaks[k] = 0 if _shows_back(f, k, perspective) else -1
     found = np.int64(0)
     for y in range(height):
         for x in range(width):
             k = np.int64(ids[y, x])
-            if k >= 0 and faces_away(f, k, perspective):
-                if _surface_about(ids, width, height, x, y, perspective, subpixel, f, k, leaks) >= 0:
-                    leaks[k] += 1
-                    found += 1
+            if k < 0 or leaks[k] < 0:
+                continue
+            if _surface_about(ids, width, height, x, y, perspective, subpixel, f, k, leaks) >= 0:
+                leaks[k] += 1
+                found += 1
     if found == 0:
         return found
     closed = np.int64(0)

@@ -28,7 +28,7 @@ from pointmr_engine.multires.layer_shapes import CUT, SIGMA
 from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normal
 from pointmr_engine.multires.method import CELL, TracedTiles
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.rng import pixel_seed
+from pointmr_engine.numerics.rng import R2, pixel_seed
 
 OF_CELL = CELL * CELL  # subpixels that a cell stands for: what counts of subpixels go by
 MINOR = 0.15  # of the largest coverage in a surface: fragments with less are left to the others
@@ -161,11 +161,11 @@ def merge_cells(
             if weight[g] > most:
                 best, most = np.int64(g), weight[g]
         ids[cell // width, cell % width] = best
-        # a clump is looked at anywhere in its cell, evenly (Roberts' R2 sequence)
+        # a clump is looked at anywhere in its cell, evenly
         x, y = cell % width, cell // width
         turn = np.float64(pixel_seed(np.int64(left + x), np.int64(low + y), np.int64(0))) / 2.0**32
         for g in range(own, groups):
-            u, v = turn + (g - own) * 0.7548776662, 7.0 * turn + (g - own) * 0.5698402910
+            u, v = turn + (g - own) * R2[0], 7.0 * turn + (g - own) * R2[1]
             seen[g, 0] = x + u - math.floor(u) - 0.5
             seen[g, 1] = y + v - math.floor(v) - 0.5
     first[height * width] = groups

@@ -27,6 +27,7 @@ from pointmr_engine.raytracing.walk import describe, intersect
 
 FACING = 0.8  # least cosine between the normals of triangles that make one fragment
 MOST = 64
+_NO_WEIGHTS = np.empty((0, 64), np.float32)
 
 
 class Merging(NamedTuple):
@@ -157,28 +158,9 @@ def _choose_bit(mask, weights, n, chance):
     return chosen
 
 
-_NO_WEIGHTS = np.empty((0, 64), np.float32)
-
-
 @uncounted
-def _fragments(
-    w,
-    s,
-    cones,
-    weights,
-    escaped,
-    counters,
-    levels,
-    scratch,
-    style,
-    buffer,
-    groups,
-    merging,
-    choice,
-    out,
-    start,
-    stop,
-):
+def _fragments(w, s, cones, weights, escaped, counters, levels, scratch, style, buffer, groups, merging, choice, out,
+               start, stop):  # fmt: skip
     """Fragments of cones[start:stop] in rows 0, 1, ...; returns how many."""
     row = np.int64(0)
     for n in range(start, stop):

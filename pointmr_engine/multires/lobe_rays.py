@@ -28,7 +28,6 @@ ROUGH = 0.15
 # rays of a first surface's lobe: so many for all of the light, up to MOST. A bright place that one ray in many meets is
 # most of the noise where little else shines, as at rims, and these rays are few against shadow rays
 EACH, MOST = 64.0, 4
-STEP = (0.7548776662466927, 0.5698402909980532)  # Roberts' low-discrepancy steps in two dimensions
 
 
 @device

@@ -14,11 +14,11 @@ import numpy as np
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.light_sharing import add_lobe, clear_share
 from pointmr_engine.multires.lobe_paths import WIDEST, go_on, no_cone, open_cone, pass_through, send_ray
-from pointmr_engine.multires.lobe_rays import MOST, STEP, behind_glossy, draw_direction, rays_of, takes_ray
+from pointmr_engine.multires.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.rng import sample_1d, sample_2d
+from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
 from pointmr_engine.raytracing.paths import LAST, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
@@ -119,8 +119,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     transparency is a path without a cone of its own: the ray goes on. integrated (N, L) bool: lobes whose cones
     find all that shines on them, without chance. small (N,) bool: points that weigh too little to be worth cones.
     limit: roughness above which lobes take rays; glinting: throughput below which lobes behind first surfaces look for
-    lamps. shares: what rays of the first surfaces' lobes find is shared by
-    these rows, from first_share on (none: not at all).
+    lamps. shares: what rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not
+    at all).
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
@@ -185,7 +185,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
                         glints, integrated[k, j], small[k], rough, ray,
                     )  # fmt: skip
-                    u, v = (u + STEP[0]) % 1.0, (v + STEP[1]) % 1.0
+                    u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
             f = _branch(chosen, _largest(g), before, target, total)
             before += _largest(g)
             if f > 0.0:
@@ -218,7 +218,7 @@ def _reflect(
         wo, weight = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
-                      np.int64(1), np.int64(0), record, rough)  # fmt: skip
+                     np.int64(1), np.int64(0), record, rough)  # fmt: skip
             if glints:
                 out.flags[m] |= SEES_LAMPS
             out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
@@ -238,7 +238,7 @@ def _reflect(
         if part == 1:
             wide *= REST / CORE
         go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
-                  RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
+              RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
         if glints and singular == 0:
             out.flags[m] |= SEES_LAMPS
         if singular == 0 and not integrated:
@@ -271,7 +271,7 @@ def _refract(
         wo, weight = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
-                      RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
+                     RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
             m += 1
         return m
     square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)

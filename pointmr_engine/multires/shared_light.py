@@ -121,14 +121,5 @@ class SharedLight:
             if len(shares.rays):
                 eye = image.camera.world_from_camera[:, 3] if image.view.perspective else shares.position[0]
                 share_light(
-                    f.x,
-                    f.y,
-                    image.subpixels,
-                    image.reach,
-                    turn,
-                    shares,
-                    count,
-                    space.used.shape,
-                    eye,
-                    space.light,
-                )
+                    f.x, f.y, image.subpixels, image.reach, turn, shares, count, space.used.shape, eye, space.light
+                )  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.fragments import Fragments
+from pointmr_engine.forward.fragments import Fragments, is_clump
 from pointmr_engine.forward.pixel_filter import Slopes
 from pointmr_engine.multires.merge import mergeable
 from pointmr_engine.numerics.jit import device, uncounted
@@ -21,17 +21,16 @@ XX, XY, YY, X_LIGHT, Y_LIGHT, LEAST, MOST = 0, 1, 2, 3, 6, 9, 12
 COLUMNS = 15
 STEADY = 0.01  # of the sum of squares: keeps slopes finite where all neighbours lie in one line
 ROOM = 2.0  # times as far from its mean as a neighbour on either side a fragment's corners may be
-APART = (
-    2.0  # footprints of fragments: neighbours lie in one plane as fragments of a cell twice as large would
-)
-SOLID = 0.9  # squared length of a mean normal, below which light was met at one place of a clump
+APART = 2.0  # footprints: neighbours lie in one plane as fragments of a cell twice as large would
 
 
 @device
 def _compare(f: Fragments, light, a, b, footprint, perspective, sums):
-    """Tell the fragments a and b, which are side by side, of each other's light if they are one surface."""
-    square = f.normal[a, 0] ** 2 + f.normal[a, 1] ** 2 + f.normal[a, 2] ** 2
-    if square > np.float32(0) and square < np.float32(SOLID):
+    """Tell the fragments a and b, which are side by side, of each other's light if they are one surface.
+
+    Light of a clump was met at one place of it.
+    """
+    if is_clump(f, a):
         return
     width = footprint
     if perspective:
