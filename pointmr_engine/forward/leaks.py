@@ -17,6 +17,7 @@ ALIKE = 0.7  # least cosine between the normals of its two sides
 BEHIND = 2.0  # times as far behind the surface as its two sides are from each other
 THIN = 3  # subpixels of what is taken for a gap at a rim
 RIM = 8.0  # subpixels: as far behind the near side as it may lie there
+FRONT, STAYS = -1, -2  # instead of numbers of leaks: shows no back; shows its back, and not by a leak
 
 
 @device
@@ -41,7 +42,7 @@ def _surface_beside(ids, width, height, x, y, dx, dy, f: Fragments, k, leaks):
         g = np.int64(ids[j, i])
         if g < 0:
             return np.int64(-1)
-        if g != k and leaks[g] < 0 and f.position[g, 2] < f.position[k, 2]:
+        if g != k and leaks[g] == FRONT and f.position[g, 2] < f.position[k, 2]:
             return g
     return np.int64(-1)
 
@@ -66,7 +67,7 @@ def _rim_beside(ids, width, height, x, y, f: Fragments, k, leaks, far):
         if i < 0 or j < 0 or i >= width or j >= height:
             continue
         g = np.int64(ids[j, i])
-        if g >= 0 and leaks[g] < 0 and f.part[g] == f.part[k] and f.row[g] == f.row[k]:
+        if g >= 0 and leaks[g] == FRONT and f.part[g] == f.part[k] and f.row[g] == f.row[k]:
             if abs(f.position[g, 2] - f.position[k, 2]) <= far:
                 return g
     return np.int64(-1)
@@ -97,11 +98,11 @@ def close_leaks(ids, width, height, perspective, subpixel, fragments: Fragments,
 
     ids as fragments.find_fragments left them. Fragments leak as a whole or not at all, and nothing shows those that
     do any more: the order of the others stays. subpixel: its width at depth 1 (perspective) or in metres; leaks (F,)
-    int32 to work in: of those that show their backs, in how many subpixels they leak; -1 for the others.
+    int32 to work in: of those that show their backs, in how many subpixels they leak, or STAYS; FRONT for the others.
     """
     f = fragments
     for k in range(count):
-        leaks[k] = 0 if _shows_back(f, k, perspective) else -1
+        leaks[k] = 0 if _shows_back(f, k, perspective) else FRONT
     found = np.int64(0)
     for y in range(height):
         for x in range(width):
@@ -111,13 +112,15 @@ def close_leaks(ids, width, height, perspective, subpixel, fragments: Fragments,
             if _surface_about(ids, width, height, x, y, perspective, subpixel, f, k, leaks) >= 0:
                 leaks[k] += 1
                 found += 1
+            else:
+                leaks[k] = STAYS  # as a whole: its other subpixels need no look
     if found == 0:
         return found
     closed = np.int64(0)
     for y in range(height):
         for x in range(width):
             k = np.int64(ids[y, x])
-            if k >= 0 and leaks[k] > 0 and leaks[k] == f.count[k]:
+            if k >= 0 and leaks[k] > 0:
                 g = _surface_about(ids, width, height, x, y, perspective, subpixel, f, k, leaks)
                 if g >= 0:
                     ids[y, x] = g

@@ -79,3 +79,27 @@ def cofactors(m, out):
         for r in range(3):
             for c in range(3):
                 out[r, c] = -out[r, c]
+
+
+def inverse_linear(m: np.ndarray) -> np.ndarray:
+    """Inverse of the linear parts (..., 3, 3) by cofactors; zero for singular ones.
+
+    np.linalg.inv would wake OpenBLAS's threads even for one matrix, and they spin for milliseconds afterwards.
+    """
+    a = m[..., :3]
+    x, y, z = a[..., 0, :], a[..., 1, :], a[..., 2, :]
+    rows = []
+    for i, j in ((1, 2), (2, 0), (0, 1)):  # the products of columns i and j; np.cross is many times slower
+        rows.append(
+            np.stack(
+                [
+                    y[..., i] * z[..., j] - z[..., i] * y[..., j],
+                    z[..., i] * x[..., j] - x[..., i] * z[..., j],
+                    x[..., i] * y[..., j] - y[..., i] * x[..., j],
+                ],
+                -1,
+            )
+        )
+    det = np.einsum("...i,...i->...", a[..., 0], rows[0])
+    scale = np.where(det == 0, 0.0, 1.0 / np.where(det == 0, 1.0, det))
+    return np.stack(rows, -2) * scale[..., None, None]

@@ -14,6 +14,7 @@ import numpy as np
 from pointmr_engine.image.filters import filter_offset, filter_table
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_4d
+from pointmr_engine.numerics.transforms import inverse_linear
 from pointmr_engine.raytracing.rays import Rays
 from pointmr_engine.scene.camera import Camera
 from pointmr_engine.scene.errors import SceneError
@@ -66,7 +67,8 @@ def compile_camera(camera: Camera, settings: RenderSettings) -> CameraArrays:
     world_from_camera = np.array(camera.world_from_camera, np.float64)[:3, :4]
     world_from_camera[:, :3] /= np.linalg.norm(world_from_camera[:, :3], axis=0)
     world_from_camera[:, 2] *= -1.0
-    camera_from_world = np.linalg.inv(np.vstack([world_from_camera, [0.0, 0.0, 0.0, 1.0]]))[:3]
+    linear = inverse_linear(world_from_camera)
+    camera_from_world = np.concatenate([linear, -linear @ world_from_camera[:, 3:]], 1)
     radius = 0.0
     if camera.fstop > 0.0 and settings.method != "conventional":
         focal_length = 1e-3 * camera.focal_length if camera.kind == "PERSPECTIVE" else 1.0

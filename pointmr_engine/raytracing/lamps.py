@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.transforms import inverse_linear
 from pointmr_engine.numerics.warps import (
     concentric_disk,
     cosine_hemisphere,
@@ -116,7 +117,7 @@ def _compile_point(light: Light, m: np.ndarray, strength: np.ndarray, values: np
             linear = np.eye(3)
         half = 0.5 * min(max(light.spot_angle, 1e-4), math.pi)
         values[SPOT] = 1.0
-        values[LOCAL : LOCAL + 9] = np.linalg.inv(linear).ravel()
+        values[LOCAL : LOCAL + 9] = inverse_linear(linear).ravel()
         values[COS_HALF] = math.cos(half)
         values[SMOOTH] = 1.0 / max((1.0 - math.cos(half)) * light.spot_blend, 1e-12)
         scale = np.linalg.norm(

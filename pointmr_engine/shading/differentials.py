@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointmr_engine.numerics.transforms import inverse_linear
 from pointmr_engine.shading.points import SurfacePoints
-from pointmr_engine.shading.values import cross, dot, inverse_linear, normalize
+from pointmr_engine.shading.values import cross, dot, normalize
 
 
 def tangent_axes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

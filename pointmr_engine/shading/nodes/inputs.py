@@ -93,7 +93,7 @@ def project_tangent(tangent: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 def normal_to_world(points: P.SurfacePoints, n: np.ndarray) -> np.ndarray:
     """Unit world normals of normals in the object's space."""
-    from pointmr_engine.shading.values import inverse_linear
+    from pointmr_engine.numerics.transforms import inverse_linear
 
     if points.world_from_part is None:
         return normalize(n)

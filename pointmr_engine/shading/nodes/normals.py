@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.numerics.transforms import inverse_linear
 from pointmr_engine.shading.nodes.inputs import (
     normal_to_object,
     normal_to_world,
@@ -12,7 +13,7 @@ from pointmr_engine.shading.nodes.inputs import (
 )
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, From, node
 from pointmr_engine.shading.points import SurfacePoints
-from pointmr_engine.shading.values import cross, dot, inverse_linear, normalize, saturate, transform_direction
+from pointmr_engine.shading.values import cross, dot, normalize, saturate, transform_direction
 
 
 def _normal_map_reads(params: dict, wanted: frozenset[str]) -> list[str]:

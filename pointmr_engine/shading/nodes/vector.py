@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.numerics.transforms import inverse_linear
 from pointmr_engine.shading.nodes.math import _power, _sign, remap, wrap
 from pointmr_engine.shading.nodes.registry import FLOAT, VECTOR, Call, From, node
 from pointmr_engine.shading.values import (
     cross,
     divide,
     dot,
-    inverse_linear,
     length,
     normalize,
     rotate_around,
