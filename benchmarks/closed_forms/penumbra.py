@@ -1,9 +1,12 @@
-"""A half plane's shadow of a disk or a square light on a diffuse floor.
+"""A half plane's shadow of a disk or a square light, or of the sun, on a diffuse floor.
 
 The light, of radiance L, lies in the plane z = H; the occluder is the half plane x > 0 of z = h. From floor point
 (x, y) the light is cut along the straight line x' = -x (H - h) / h, and what is left of x' gives
     E = L integral of H^2 / r^4 over x', y',   r^2 = H^2 + (x' - x)^2 + (y' - y)^2,
 whose inner integral over y' is elementary. Radiance: albedo E / pi.
+
+The sun of half angle a stands in the zenith, and E = L times what is left of the disk of radius sin a onto which its
+directions project: those beyond the plane through the point and the edge, w_x = k w_z with k = -x / h, are cut off.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from benchmarks.closed_forms.stage import DARK, Case, View, diffuse, filtered, l
 from pointmr_engine import Group, Light, Scene
 
 LIGHT, EDGE = 2.0, 1.0  # heights H and h
+SUN = 0.25  # its half angle, rad
 SIZE = 1.0  # diameter of the disk, side of the square
 ALBEDO = 0.8
 POWER = 10.0
@@ -44,18 +48,22 @@ def irradiance(x: np.ndarray, y: np.ndarray, disk: bool) -> np.ndarray:
     return (LIGHT**2 * (_inner(a2, half - y) - _inner(a2, -half - y)) * dx).sum(-1)
 
 
+def _screened() -> Group:
+    """The floor and the half plane."""
+    return Group("root", [
+        rectangle(-30, 30, -30, 30, 0.0, diffuse(ALBEDO, "floor"), "floor"),
+        rectangle(0, 30, -30, 30, EDGE, diffuse(0.0, "screen"), "screen"),
+    ])  # fmt: skip
+
+
 def _case(name: str, shape: str, view: View) -> Case:
     disk = shape == "DISK"
     area = SIZE**2 * (0.25 * np.pi if disk else 1.0)
     radiance = POWER / (np.pi * area)
 
     def scene() -> Scene:
-        root = Group("root", [
-            rectangle(-30, 30, -30, 30, 0.0, diffuse(ALBEDO, "floor"), "floor"),
-            rectangle(0, 30, -30, 30, EDGE, diffuse(0.0, "screen"), "screen"),
-        ])  # fmt: skip
         lamp = Light("AREA", look_down(LIGHT), shape=shape, size_x=SIZE, size_y=SIZE, power=POWER)
-        return Scene(root, view.camera(), [lamp], DARK)
+        return Scene(_screened(), view.camera(), [lamp], DARK)
 
     def exact() -> np.ndarray:
         def radiance_at(px, py):
@@ -68,6 +76,32 @@ def _case(name: str, shape: str, view: View) -> Case:
     return Case(name, what, view, scene, exact, "area light")
 
 
+def sun_share(x: np.ndarray) -> np.ndarray:
+    """Share of the sun's irradiance that arrives at floor points at x (...,)."""
+    t = (np.arange(2000) + 0.5) / 2000 * np.pi - 0.5 * np.pi  # w_y = sin a sin t
+    sine, half = np.sin(SUN) * np.sin(t), np.sin(SUN) * np.cos(t)
+    k = (-x / EDGE)[..., None]
+    cut = np.clip(k / np.sqrt(1.0 + k * k) * np.sqrt(1.0 - sine**2), -half, half)
+    return ((cut + half) * half).sum(-1) / (2.0 * half**2).sum()
+
+
+def _sun_case(view: View) -> Case:
+    def scene() -> Scene:
+        return Scene(
+            _screened(), view.camera(), [Light("SUN", look_down(LIGHT), angle=2.0 * SUN, power=POWER)], DARK
+        )
+
+    def exact() -> np.ndarray:
+        def radiance_at(px, py):
+            return ALBEDO / np.pi * POWER * sun_share(view.on_floor(px, py)[..., 0])
+
+        return filtered(view, radiance_at, 16)
+
+    pixels = 2.0 * np.tan(SUN) * EDGE * view.focal * view.width / view.world_from_camera[2, 3]
+    what = f"half plane's shadow of a wide sun, {pixels:.0f} pixels of penumbra"
+    return Case("penumbra of the sun", what, view, scene, exact, "area light")
+
+
 def _width(view: View) -> float:
     """The penumbra's width in pixels."""
     height = view.world_from_camera[2, 3]
@@ -75,11 +109,12 @@ def _width(view: View) -> float:
 
 
 def cases() -> list[Case]:
-    """Wide penumbras under a disk and a square, and one of few pixels; the edge is turned against the pixels."""
+    """Wide penumbras of three lights, and one of few pixels; the edge is turned against the pixels."""
     wide = View(48, 12, look_down(0.9, roll=0.3), 0.45)
     narrow = View(48, 12, look_down(0.9, roll=0.3), 0.075)
     return [
         _case("penumbra of a disk", "DISK", wide),
         _case("penumbra of a square", "SQUARE", wide),
         _case("narrow penumbra", "DISK", narrow),
+        _sun_case(wide),
     ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from pointmr_engine.forward.world_light import world_irradiance, world_lobe
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.raytracing.lamps import DISTANT, POINT, sample_lamp
+from pointmr_engine.raytracing.lamps import DISTANT, POINT, RECTANGLE, sample_lamp
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
@@ -38,6 +38,9 @@ from pointmr_engine.shading.lobes import evaluate
 
 FOUR, SIXTEEN = 0.05, 0.6  # solid angles (sr) from which a lamp is four or sixteen points ...
 SHARP = 0.005  # ... and from which it is sixteen for lobes that are narrower than the lamp
+# by which points are moved outwards from a lamp's middle, so that their mean square distance from it is the lamp's:
+# of 2 x 2 and 4 x 4 points, by sides of a rectangle and by the concentric mapping of round lamps
+APART = ((1.0, 1.1547, 1.0, 1.0328), (1.0, 1.4142, 1.0, 1.069))
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
 
 
@@ -139,6 +142,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             elif solid > FOUR:
                 side = np.int64(2)
             points = side * side
+            apart = APART[0 if lamps.shape[i] == RECTANGLE else 1][side - 1]
             if points == 1 and plane >= 1.0 and not transmissive:
                 if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
                     continue
@@ -151,8 +155,8 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             seen = lamps.visibility[i]
             for p in range(points):
                 if points > 1:
-                    u = (p % side + 0.5) / side
-                    v = (p // side + 0.5) / side
+                    u = 0.5 + apart * ((p % side + 0.5) / side - 0.5)
+                    v = 0.5 + apart * ((p // side + 0.5) / side - 0.5)
                     dx, dy, dz, _, pdf, scale = sample_lamp(
                         lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive, u, v
                     )

@@ -14,7 +14,7 @@ from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
-from pointmr_engine.multires.lamp_cones import cell_weights, lamp_cones, take_shares
+from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, sample_widened, share_with_lobes
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
@@ -29,7 +29,6 @@ from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
-_WEIGHTS = cell_weights()
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 # of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
@@ -53,7 +52,7 @@ class ConePaths(SharingPaths):
         self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
-        self.shifts = np.empty((n, 2))
+        self.terms = np.empty((n, TERMS))
         self.cones = allocate_cones(n)
         self.lobe_cones, self.next_cones = (allocate_lobe_cones(n, allocate_cones(n)) for _ in range(2))
         self.met = paths.allocate_paths(n, self.stage.camera.camera_from_world)
@@ -174,13 +173,15 @@ class ConePaths(SharingPaths):
         self.share[i, :n] = 1.0
         m = lamp_cones(
             lamps, np.int64(i), self.frames.position, self.lobes.geometric_normal, self.both, self.width,
-            self.frames.offset, self.lobes.count, np.int64(n), self.cones, self.rows, self.shifts,
+            self.frames.offset, self.lobes.count, np.int64(n), self.cones, self.rows, self.terms,
         )  # fmt: skip
         if not m:
             return
         self.counters["lamp_cones"] += m
         self.light.blocked(self.cones, m, self.masks)
-        take_shares(self.masks, _WEIGHTS, lamps.shape[i], self.rows, self.shifts, np.int64(m), self.share[i])
+        take_shares(
+            self.masks, lamps.shape[i], self.cones, self.terms, self.both, self.rows, np.int64(m), self.share[i],
+        )  # fmt: skip
 
     def _scatter(self, now, n: int, alive, bounce: int) -> None:
         """Paths behind the surfaces, and their cones."""

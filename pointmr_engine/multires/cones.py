@@ -19,7 +19,9 @@ class Cones(NamedTuple):
     """
 
     origin: np.ndarray  # (N, 3) float64
-    axes: np.ndarray  # (N, 3, 3) float64, rows of unit length at right angles: x, y (lateral) and the axis
+    # (N, 3, 3) float64, rows of unit length at right angles: x, y (lateral) and the axis. Walks alone take any rows
+    # that give places' coordinates: those of lamp_cones count along oblique vectors
+    axes: np.ndarray
     start: np.ndarray  # (N, 2) float64, half-widths along x and y at t = 0
     spread: np.ndarray  # (N, 2) float64, what they gain per metre
     t_min: np.ndarray  # (N,) float64: what lies nearer along the axis is ignored

@@ -1,8 +1,7 @@
 """Soft shadows: one cone from every surface point to each lamp, as wide as the lamp seen from there.
 
-A cone begins with the point's footprint and ends with the lamp's shape; the share of its sub-rays that nothing blocks,
-weighted by how much of each one's cell the lamp fills, is the share of the lamp's light that arrives (science: a mask
-over the light per fragment). Sharp lamps take cones that close to a point: no area is sampled for them.
+A cone ends with the lamp's shape; the share of its sub-rays that nothing blocks, each weighted by the irradiance that
+its cell of the lamp brings, is the share of the lamp's light that arrives.
 """
 
 from __future__ import annotations
@@ -19,12 +18,9 @@ from pointmr_engine.raytracing.lamps import (
     AY,
     AZ,
     CONE,
-    DISC,
-    DISTANT,
     ELLIPSE,
     HALF_U,
     HALF_V,
-    POINT,
     PX,
     PY,
     PZ,
@@ -41,16 +37,15 @@ from pointmr_engine.raytracing.lamps import (
 )
 from pointmr_engine.scene.group import SHADOW
 
-WIDER = 9.0 / 8.0  # cones of area lights: room for their cells to be shifted by half of one
+ACROSS = 7  # of a cone's 8 cells lie in its lamp: the others are room for all to be shifted by half of one
+CELL = 2.0 / ACROSS  # a cell's width on a lamp that reaches from -1 to 1
 NEAR = 0.02  # footprints: what is nearer throws no shadow
+EDGE_ON = 1e-3  # cosine below which flat lamps are not seen
 _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
-
-
-def cell_weights() -> np.ndarray:
-    """(2, 64) float32: share of each of the 8 x 8 cells that the inscribed square and disc fill; each row sums to 1."""
-    fine = (np.arange(256) + 0.5) / 128.0 - 1.0
-    disc = (fine[:, None] ** 2 + fine[None, :] ** 2 <= 1.0).reshape(8, 32, 8, 32).mean((1, 3)).ravel()
-    return np.stack([np.full(64, 1 / 64), disc / disc.sum()]).astype(np.float32)
+TERMS = (
+    7  # per cone: shifts of its cells along x and y; cosines at the point: towards the lamp, x, y; d.x, d.y
+)
+SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y = range(TERMS)
 
 
 @device
@@ -95,120 +90,154 @@ def jitter(x, y, z, width):
     return (h & np.uint32(0xFFFF)) / 65536.0, (h >> np.uint32(16)) / 65536.0
 
 
+@device
+def _dot(ax, ay, az, bx, by, bz):
+    return ax * bx + ay * by + az * bz
+
+
+@device
+def _set_frame(cones, m, x, y, n, d):
+    """Axes of cone m, so that its coordinates count along the vectors x, y and d: x, y and n at right angles, unit."""
+    depth = 1.0 / _dot(*d, *n)
+    lean_x, lean_y = _dot(*d, *x) * depth, _dot(*d, *y) * depth
+    for k in range(3):
+        cones.axes[m, 0, k] = x[k] - lean_x * n[k]
+        cones.axes[m, 1, k] = y[k] - lean_y * n[k]
+        cones.axes[m, 2, k] = n[k] * depth
+
+
+@device
+def _round_frame(row, shape, dx, dy, dz, distance, angle):
+    """(x, y, half-width at `distance`) of what is round about d, a unit vector; a width of 0: nothing to be seen."""
+    wide = row[RADIUS]
+    if shape == SUN:
+        wide = math.sqrt(max(row[CONE] * (2.0 - row[CONE]), 0.0)) / max(1.0 - row[CONE], 1e-3)
+    elif shape == SPHERE:
+        if distance <= wide:
+            wide = 0.0
+        else:
+            wide *= distance / math.sqrt(distance * distance - wide * wide)
+    ax, ay, az = perpendicular(1.0, 0.0, 0.0, dx, dy, dz)
+    bx, by, bz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
+    c, s = math.cos(angle), math.sin(angle)
+    return (
+        (c * ax + s * bx, c * ay + s * by, c * az + s * bz),
+        (c * bx - s * ax, c * by - s * ay, c * bz - s * az),
+        wide,
+    )
+
+
 @uncounted
-def lamp_cones(
-    lamps, i, position, normal, both, width, offset, lobe_count, count, cones: Cones, rows, shifts
-):
+def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, count, cones: Cones, rows, terms):
     """Cones from points 0..count to lamp i, for those that it could light; returns how many, rows (N,) their points.
 
-    shifts (N, 2) float64: of area lights' cells, filled.
+    A flat lamp's cells are even on the lamp, others' across the direction to it. Where they lie differs from point to
+    point, lest their borders show. terms (N, TERMS) float64: what take_shares needs of the cones, filled.
 
     position (N, 3) float64; normal (N, 3) float32, on the viewer's side; both (N,) bool: lit from behind as well;
     width (N,) float32: the points' footprints; offset (N,) float64: what is nearer throws no shadow.
     """
     row, shape = lamps.values[i], lamps.shape[i]
+    flat = shape == RECTANGLE or shape == ELLIPSE
     m = np.int64(0)
     for k in range(count):
         if lobe_count[k] == 0:
             continue
         px, py, pz = position[k, 0], position[k, 1], position[k, 2]
-        distance = math.inf
-        dx, dy, dz = -row[AX], -row[AY], -row[AZ]
-        wide_x = wide_y = 0.0
-        ux, uy, uz = row[UX], row[UY], row[UZ]
-        if shape == SUN:
-            wide_x = math.sqrt(max(row[CONE] * (2.0 - row[CONE]), 0.0)) / max(1.0 - row[CONE], 1e-3)
-            wide_y = wide_x
-        elif shape != DISTANT:
+        dx, dy, dz, distance = -row[AX], -row[AY], -row[AZ], 1.0
+        if shape != SUN:
             dx, dy, dz = row[PX] - px, row[PY] - py, row[PZ] - pz
             distance = math.sqrt(dx * dx + dy * dy + dz * dz)
             if not distance > 0.0:
                 continue
             dx, dy, dz = dx / distance, dy / distance, dz / distance
-            if shape == SPHERE or shape == DISC:
-                wide_x = wide_y = row[RADIUS]
-                if shape == SPHERE:
-                    if distance <= row[RADIUS]:
-                        continue
-                    wide_x *= distance / math.sqrt(distance * distance - row[RADIUS] * row[RADIUS])
-                    wide_y = wide_x
-            elif shape != POINT:
-                if dx * row[AX] + dy * row[AY] + dz * row[AZ] >= 0.0:
-                    continue
-                along = ux * dx + uy * dy + uz * dz
-                wide_x = row[HALF_U] * math.sqrt(max(1.0 - along * along, 0.0))
-                x, y, z = perpendicular(ux, uy, uz, dx, dy, dz)
-                x, y, z = dy * z - dz * y, dz * x - dx * z, dx * y - dy * x
-                wide_y = row[HALF_V] * abs(row[VX] * x + row[VY] * y + row[VZ] * z)
-            wide_x, wide_y = wide_x / distance, wide_y / distance
-        facing = normal[k, 0] * dx + normal[k, 1] * dy + normal[k, 2] * dz
-        if not both[k] and facing < -max(wide_x, wide_y):
+        turn = jitter(px, py, pz, width[k])
+        shift_x, shift_y = turn[0] - 0.5, turn[1] - 0.5
+        if flat:
+            x, y, across = (
+                (row[UX], row[UY], row[UZ]),
+                (row[VX], row[VY], row[VZ]),
+                (-row[AX], -row[AY], -row[AZ]),
+            )
+            wide_x, wide_y = row[HALF_U], row[HALF_V]
+            if dx * across[0] + dy * across[1] + dz * across[2] < EDGE_ON:
+                continue
+        else:
+            across = dx, dy, dz
+            angle = 2.0 * math.pi * ((97.0 * turn[0] + turn[1]) % 1.0)
+            x, y, wide_x = _round_frame(row, shape, dx, dy, dz, distance, angle)
+            wide_y = wide_x
+            if wide_x == 0.0:
+                continue
+        a, b = CELL * shift_x * wide_x, CELL * shift_y * wide_y
+        tx = distance * dx + a * x[0] + b * y[0]
+        ty = distance * dy + a * x[1] + b * y[1]
+        tz = distance * dz + a * x[2] + b * y[2]
+        way = math.sqrt(tx * tx + ty * ty + tz * tz)
+        d = tx / way, ty / way, tz / way
+        cones.spread[m, 0], cones.spread[m, 1] = 4.0 * CELL * wide_x / way, 4.0 * CELL * wide_y / way
+        n = np.float64(normal[k, 0]), np.float64(normal[k, 1]), np.float64(normal[k, 2])
+        towards = _dot(*n, *d)
+        along_x, along_y = _dot(*n, *x) * cones.spread[m, 0], _dot(*n, *y) * cones.spread[m, 1]
+        if not both[k] and towards + abs(along_x) + abs(along_y) <= 0.0:
             continue
         rows[m] = k
+        terms[m, SHIFT_X], terms[m, SHIFT_Y] = shift_x, shift_y
+        terms[m, TOWARDS], terms[m, ALONG_X], terms[m, ALONG_Y] = towards, along_x, along_y
+        terms[m, LEAN_X], terms[m, LEAN_Y] = _dot(*d, *x), _dot(*d, *y)
         cones.origin[m, 0], cones.origin[m, 1], cones.origin[m, 2] = px, py, pz
-        turn = jitter(px, py, pz, width[k])
         cones.start[m, 0] = cones.start[m, 1] = 0.0
-        cones.spread[m, 0], cones.spread[m, 1] = wide_x, wide_y
-        if shape == RECTANGLE or shape == ELLIPSE:
-            # the cells lie elsewhere on the lamp from point to point, lest their borders show
-            shift_x, shift_y = turn[0] - 0.5, turn[1] - 0.5
-            shifts[m, 0], shifts[m, 1] = shift_x, shift_y
-            cones.spread[m, 0], cones.spread[m, 1] = wide_x * WIDER, wide_y * WIDER
-            x, y, z = perpendicular(ux, uy, uz, dx, dy, dz)
-            a, b = 0.25 * WIDER * wide_x * shift_x, 0.25 * WIDER * wide_y * shift_y
-            ex, ey, ez = dy * z - dz * y, dz * x - dx * z, dx * y - dy * x
-            tx, ty, tz = dx + a * x + b * ex, dy + a * y + b * ey, dz + a * z + b * ez
-            inverse = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz)
-            dx, dy, dz = tx * inverse, ty * inverse, tz * inverse
-        elif wide_x > 0.0:
-            angle = 2.0 * math.pi * turn[0]
-            x, y, z = perpendicular(ux, uy, uz, dx, dy, dz)
-            ex, ey, ez = dy * z - dz * y, dz * x - dx * z, dx * y - dy * x
-            c, s = math.cos(angle), math.sin(angle)
-            ux, uy, uz = c * x + s * ex, c * y + s * ey, c * z + s * ez
-        set_axes(cones, m, ux, uy, uz, dx, dy, dz)
+        _set_frame(cones, m, x, y, across, d)
         cones.t_min[m] = max(offset[k], NEAR * width[k])
-        cones.t_max[m] = distance
-        if distance < math.inf:
-            cones.t_max[m] = distance * _SHORT - (row[RADIUS] if shape == SPHERE else 0.0)
+        cones.t_max[m] = way * _SHORT
+        if shape == SUN:
+            cones.t_max[m] = math.inf
+        elif shape == SPHERE:
+            cones.t_max[m] = way * (_SHORT - row[RADIUS] / distance)
         cones.visibility[m] = SHADOW
         m += 1
     return m
 
 
 @device
-def _overlap(i, shift):
-    """Share of cell i of 8 that the middle 8 / WIDER cells fill, the cells shifted by `shift` of one."""
-    low, high = i - 4.0 + shift, i - 3.0 + shift
-    edge = 4.0 / WIDER
-    return max(min(high, edge) - max(low, -edge), 0.0)
+def _irradiance(cones, terms, m, i, j, shape, both):
+    """Of the irradiance that cone m's lamp brings, what cell (i, j) does: its solid angle and the cosine at the point.
+
+    In any unit; 0 for cells whose middles the lamp does not fill.
+    """
+    u, v = CELL * (i - 3.5 + terms[m, SHIFT_X]), CELL * (j - 3.5 + terms[m, SHIFT_Y])
+    if shape == RECTANGLE:
+        if max(abs(u), abs(v)) > 1.0:
+            return 0.0
+    elif u * u + v * v > 1.0:
+        return 0.0
+    u, v = 0.25 * i - 0.875, 0.25 * j - 0.875
+    cosine = terms[m, TOWARDS] + u * terms[m, ALONG_X] + v * terms[m, ALONG_Y]
+    if cosine < 0.0:
+        if not both:
+            return 0.0
+        cosine = -cosine
+    u *= cones.spread[m, 0]
+    v *= cones.spread[m, 1]
+    square = 1.0 + 2.0 * (u * terms[m, LEAN_X] + v * terms[m, LEAN_Y]) + u * u + v * v
+    return cosine / (square * square)
 
 
 @uncounted
-def take_shares(masks, weights, shape, rows, shifts, count, share):
-    """share (N,) float32 of points rows[0..count]: what the blocked sub-rays in `masks` leave of a lamp.
+def take_shares(masks, shape, cones: Cones, terms, both, rows, count, share):
+    """share (N,) float32 of points rows[0..count]: what the blocked sub-rays in `masks` leave of a lamp's irradiance.
 
-    weights: cell_weights(); shifts: of lamp_cones.
+    shape: the lamp's; cones, terms, both: of lamp_cones.
     """
-    kind = np.int64(0)
-    if shape == SPHERE or shape == DISC or shape == SUN:
-        kind = np.int64(1)
     for m in range(count):
-        mask = masks[m]
+        mask, k = masks[m], rows[m]
         if mask == np.uint64(0):
-            share[rows[m]] = 1.0
+            share[k] = 1.0
             continue
         total, left = 0.0, 0.0
         for b in range(64):
-            w = np.float64(weights[kind, b])
-            if shape == RECTANGLE:
-                w = _overlap(b & 7, shifts[m, 0]) * _overlap(b >> 3, shifts[m, 1])
-            elif shape == ELLIPSE:
-                u = ((b & 7) - 3.5 + shifts[m, 0]) * (0.25 * WIDER)
-                v = ((b >> 3) - 3.5 + shifts[m, 1]) * (0.25 * WIDER)
-                # a cell is a quarter wide: the rim takes part of it
-                w = min(max((1.0 - math.sqrt(u * u + v * v)) / (0.25 * WIDER) + 0.5, 0.0), 1.0)
-            total += w
+            e = _irradiance(cones, terms, m, b & 7, b >> 3, shape, both[k])
+            total += e
             if (mask >> np.uint64(b)) & np.uint64(1) == np.uint64(0):
-                left += w
-        share[rows[m]] = left / total if total > 0.0 else 1.0
+                left += e
+        share[k] = left / total if total > 0.0 else 1.0

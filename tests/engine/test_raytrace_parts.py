@@ -1,4 +1,4 @@
-"""Parts of method "raytrace" by themselves: merging of fragments, the weights of a lobe's sub-rays, shares of lamps."""
+"""Parts of method "raytrace" by themselves: merging of fragments, the weights of a lobe's sub-rays."""
 
 import math
 
@@ -7,11 +7,9 @@ import pytest
 
 from pointmr_engine.forward.fragments import Fragments, allocate_fragments
 from pointmr_engine.multires.cones import allocate_cones, sub_rays
-from pointmr_engine.multires.lamp_cones import WIDER, cell_weights, take_shares
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, weigh_sub_rays
 from pointmr_engine.multires.merge import merge_fragments
 from pointmr_engine.multires.scatter import CORE, REST, WIDE, WIDEST
-from pointmr_engine.raytracing.lamps import DISC, ELLIPSE, RECTANGLE, SPHERE, SUN
 
 # Merging
 
@@ -197,56 +195,3 @@ def test_the_rest_leaves_the_core_out():
     middle, all_of_it = rest[3:5, 3:5].sum(), whole.weights[1].reshape(8, 8)[3:5, 3:5].sum()
     assert 0.0 < middle < 0.1 * all_of_it
     assert rest.sum() > middle
-
-
-# Shares of lamps
-
-SHAPES = {"rectangle": RECTANGLE, "ellipse": ELLIPSE, "disc": DISC, "sphere": SPHERE, "sun": SUN}
-COLUMNS = (np.arange(64) & 7).astype(int)
-
-
-def share_of(shape, blocked, shift=(0.0, 0.0)) -> float:
-    """The share that is left of a lamp whose cells `blocked` (64,) bool are."""
-    mask = np.array([(blocked.astype(np.uint64) << np.arange(64, dtype=np.uint64)).sum()], np.uint64)
-    share = np.full(3, 7.0, np.float32)
-    rows = np.array([1], np.int32)
-    take_shares(mask, cell_weights(), np.int64(shape), rows, np.array([shift], float), np.int64(1), share)
-    assert share[[0, 2]].tolist() == [7.0, 7.0]  # only the rows asked for
-    return float(share[1])
-
-
-@pytest.mark.parametrize("shape", list(SHAPES))
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.5, -0.5), (-0.3, 0.1)])
-def test_open_and_blocked_lamps(shape, shift):
-    assert share_of(SHAPES[shape], np.zeros(64, bool), shift) == 1.0
-    assert share_of(SHAPES[shape], np.ones(64, bool), shift) == 0.0
-
-
-@pytest.mark.parametrize("shape", list(SHAPES))
-def test_half_a_lamp_is_a_half(shape):
-    for half in (COLUMNS < 4, np.arange(64) < 32):
-        assert share_of(SHAPES[shape], half) == pytest.approx(0.5, abs=1e-6)
-
-
-@pytest.mark.parametrize("shift", np.linspace(-4 / 9, 4 / 9, 7))
-def test_a_half_planes_share_of_a_rectangle_is_exact(shift):
-    """Cells are shifted by up to half of one, 1/16 of the lamp: so is the edge, and the share with it."""
-    expected = 0.5 - shift * WIDER / 8
-    for half, s in ((COLUMNS < 4, (shift, 0.3)), (np.arange(64) < 32, (-0.2, shift))):
-        assert share_of(RECTANGLE, half, s) == pytest.approx(expected, abs=1e-6)
-        assert share_of(RECTANGLE, ~half, s) == pytest.approx(1 - expected, abs=1e-6)
-
-
-@pytest.mark.parametrize("shift", [-0.4, 0.2, 0.4])
-def test_a_half_planes_share_of_an_ellipse(shift):
-    x = shift * WIDER / 4  # the edge, in radii
-    expected = 0.5 - (x * math.sqrt(1 - x * x) + math.asin(x)) / math.pi
-    assert share_of(ELLIPSE, COLUMNS < 4, (shift, 0.0)) == pytest.approx(expected, abs=0.02)
-
-
-def test_cells_of_a_disc_hold_its_area():
-    square, disc = cell_weights()
-    assert square.sum() == pytest.approx(1.0) and disc.sum() == pytest.approx(1.0)
-    inner, corner = disc.reshape(8, 8)[3, 3], disc.reshape(8, 8)[0, 0]
-    assert inner == pytest.approx(4 / math.pi / 64, rel=1e-3)
-    assert corner < 0.01 * inner
