@@ -91,14 +91,14 @@ class Workspace:
 
     def draw(self, bounds, hierarchy: Hierarchy) -> np.ndarray | None:
         """Walk for a tile x0, y0, x1, y1 of pixels; returns the nodes whose sets it misses, None if it is complete."""
-        image, s = self.image, self.image.subpixels
+        image = self.image
         self.start_tile(bounds)
         counters = self.scratch.counters
         waiting = counters[WAITING]
         self.entries = walk(
             image.view, hierarchy, image.camera.camera_from_world, image.spacing,
             (self.left, self.low, self.left + self.width, self.low + self.height),
-            self.scratch, self.wanted, image.settings.forward.occlusion_culling, s, image.hardly,
+            self.scratch, self.wanted, image.settings.forward.occlusion_culling, self.cell, image.hardly,
         )  # fmt: skip
         if counters[WAITING] == waiting:
             return None

@@ -40,7 +40,7 @@ from pointmr_engine.numerics.simd import WIDTH
 HARDLY = (
     1 / 8
 )  # of a box: when no more of it can be seen, samples twice as far apart will do for moving images
-SMALL = 1.5  # pixels: triangles no larger are shaded once, not in every pixel
+SMALL = 1.5  # cells: triangles no larger are shaded once, not in every cell
 DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
 COUNTERS = (
     "nodes", "outside", "hidden", "sets", "surfels", "triangles", "instances", "waiting", "drawn",
@@ -102,15 +102,15 @@ def walk(
     scratch: Scratch,
     wanted: np.ndarray,
     culling: bool = True,
-    subpixels: int = 4,
+    cell: int = 4,
     hardly: float = 0.0,
 ) -> int:
     """Draw the scene's part in a tile into scratch.target, which is empty; returns the number of entries.
 
     spacing: of samples, in subpixels, at most. bounds: x0, y0, x1, y1 of the tile in subpixels of the whole image.
     wanted (nodes,) uint8: 1 is written where a set is needed that is not built; such nodes are not drawn.
-    culling: leave out boxes that are hidden by what is drawn already. subpixels: per side of a pixel. hardly: boxes of
-    which at most this share is open are drawn from samples twice as far apart.
+    culling: leave out boxes that are hidden by what is drawn already. cell: subpixels per side of what is shaded by
+    itself. hardly: boxes of which at most this share is open are drawn from samples twice as far apart.
     """
     before = scratch.counters.copy()
     scratch.address[0] = hierarchy.sets.row.ctypes.data
@@ -121,7 +121,7 @@ def walk(
             view, hierarchy, np.ascontiguousarray(camera_from_world[:3], np.float64), float(spacing),
             *(np.int64(b) for b in bounds), scratch.target, scratch.entries, scratch.heap, scratch.transforms,
             scratch.scale, scratch.box, scratch.bounds, scratch.corners, scratch.constants, scratch.lanes,
-            scratch.address, wanted, bool(culling), np.float32(SMALL * subpixels), np.float32(hardly),
+            scratch.address, wanted, bool(culling), np.float32(SMALL * cell), np.float32(hardly),
             scratch.used, scratch.counters,
         )  # fmt: skip
         if status == DONE:

@@ -192,7 +192,7 @@ class LensTiles(TracedTiles):
             clear(self.part, width)
             entries = walk(
                 seen.view, hierarchy, seen.camera_from_world, image.spacing / v, (x, y, x + width, y + height),
-                self.own, self.wanted, image.settings.forward.occlusion_culling, image.subpixels // v,
+                self.own, self.wanted, image.settings.forward.occlusion_culling, max(self.cell // v, 1),
             )  # fmt: skip
             if counters[WAITING] == waiting:
                 self._take(hierarchy, k, seen, entries, (x, y, np.int64(width), np.int64(height)))
