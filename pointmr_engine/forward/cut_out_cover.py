@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 
 OPAQUE = 192  # of 255: from here on a sample counts as opaque
@@ -31,11 +32,25 @@ def opacity_at(cut_outs, mask, u, v):
 
 
 @device
-def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, phase):
+def _order_at(key, i, j, front):
+    """(place of the first row of an order in Target.pattern, what x and y are turned by), of the block of (i, j).
+
+    Chosen anew in every block, lest two triangles that share one do so throughout; never the same for fronts and backs,
+    which are the two sides of a pane.
+    """
+    h = hash_u32(np.uint32(key) ^ hash_u32(np.uint32(((j >> 3) << 16) + (i >> 3))))
+    order = np.int64(h >> np.uint32(6)) & 6
+    if front:
+        order += 1
+    return 8 * order, np.int64(h) & 7, np.int64(h >> np.uint32(3)) & 7
+
+
+@device
+def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, key):
     """Draw a triangle as subpixels.cover_triangle does, but where opacity[mask] leaves holes; whether anything was
     written.
 
-    x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective.
+    x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective; key: number of the triangle.
     """
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     if area == 0.0 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:
@@ -55,7 +70,10 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
                 left, right = min(left, at), max(right, at)
         x0 = np.int64(max(math.ceil(left - 0.5), 0.0))
         x1 = np.int64(min(math.ceil(right - 0.5) - 1.0, width - 1.0))
+        row = turn_x = turn_y = np.int64(0)
         for i in range(x0, x1 + 1):
+            if i == x0 or i & 7 == 0:
+                row, turn_x, turn_y = _order_at(key, i, j, area > 0.0)
             xc = i + 0.5
             b1 = ((xc - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (yc - y[0])) * inverse
             b2 = ((x[1] - x[0]) * (yc - y[0]) - (xc - x[0]) * (y[1] - y[0])) * inverse
@@ -67,7 +85,7 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
                 u, v = b1 * w[1] / nearness, b2 * w[2] / nearness
             p = min(max(np.int64(u * side), np.int64(0)), side - 1)
             q = min(max(np.int64(v * side), np.int64(0)), side - 1)
-            if opacity[mask, q, p] > 255.0 * target.pattern[(j + (phase >> 3)) & 7, (i + phase) & 7]:
+            if opacity[mask, q, p] > 255.0 * target.pattern[row + ((j ^ turn_y) & 7), (i ^ turn_x) & 7]:
                 target.depth[j, i] = nearness
                 target.ids[j, i] = entry
                 written = True

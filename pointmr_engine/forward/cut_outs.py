@@ -114,7 +114,7 @@ def part_transparency(
 
 
 @device
-def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_outs, mask, phase):
+def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_outs, mask, key):
     """Draw the triangle with corners (3, 3) in camera space where it is opaque; those that the near plane cuts are
     drawn whole."""
     if corners[0, 2] < view.near or corners[1, 2] < view.near or corners[2, 2] < view.near:
@@ -124,5 +124,5 @@ def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_out
     x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
     return put_cut_out(
         target, width, height, view.perspective, (x0 - left, x1 - left, x2 - left), (y0 - low, y1 - low, y2 - low),
-        (w0, w1, w2), entry, cut_outs.opacity, mask, phase,
+        (w0, w1, w2), entry, cut_outs.opacity, mask, key,
     )  # fmt: skip

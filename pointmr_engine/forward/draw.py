@@ -217,7 +217,7 @@ def _draw_chunk(target, width, height, lanes, address, node, row, chunk, first, 
         if put_ellipse(
             target, width, height, lanes[SX, k], lanes[SY, k], lanes[A, k], lanes[B, k], lanes[C, k],
             lanes[NEARNESS, k], lanes[SLOPE_X, k], lanes[SLOPE_Y, k], used, lanes[OPACITY, k], lanes[SEEN, k],
-            phase & np.int64(63),
+            phase & np.int64(511),
         ):  # fmt: skip
             entries.surfel[used] = 2 * (start + k) + (
                 np.int64(1) if lanes[OPACITY, k] < np.float32(1) else np.int64(0)

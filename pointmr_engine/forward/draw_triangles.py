@@ -59,8 +59,9 @@ def draw_triangles(
             lump = np.int64(1) if lanes[CORNER_SMALL, k] <= small else np.int64(0)
             if hole >= 0:
                 triangle_to_camera(matrix, row, corners, start + k, work)
-                phase = ((start + k) * np.int64(40503) >> np.int64(7)) & np.int64(63)
-                if draw_cut_out(view, target, width, height, left, low, work, used, cut_outs, hole, phase):
+                if draw_cut_out(
+                    view, target, width, height, left, low, work, used, cut_outs, hole, start + k
+                ):
                     entries.surfel[used] = -1 - (2 * (start + k) + lump)
                     entries.row[used] = row
                     used += 1

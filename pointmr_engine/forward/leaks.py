@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.forward.cut_out_cover import cut_out_of
 from pointmr_engine.forward.fragments import Fragments, is_clump
 from pointmr_engine.numerics.jit import device, uncounted
 
@@ -17,7 +18,7 @@ ALIKE = 0.7  # least cosine between the normals of its two sides
 BEHIND = 2.0  # times as far behind the surface as its two sides are from each other
 THIN = 3  # subpixels of what is taken for a gap at a rim
 RIM = 8.0  # subpixels: as far behind the near side as it may lie there
-FRONT, STAYS = -1, -2  # instead of numbers of leaks: shows no back; shows its back, and not by a leak
+FRONT, STAYS = -1, -2  # instead of numbers of leaks: shows no back; cannot leak and has nothing to close
 
 
 @device
@@ -93,16 +94,19 @@ def _surface_about(ids, width, height, x, y, perspective, subpixel, f: Fragments
 
 
 @uncounted
-def close_leaks(ids, width, height, perspective, subpixel, fragments: Fragments, count, leaks):
+def close_leaks(ids, width, height, perspective, subpixel, fragments: Fragments, cut_outs, count, leaks):
     """Let the surface show that fragments 0..count of a tile leak through; returns how many subpixels did.
 
     ids as fragments.find_fragments left them. Fragments leak as a whole or not at all, and nothing shows those that
-    do any more: the order of the others stays. subpixel: its width at depth 1 (perspective) or in metres; leaks (F,)
-    int32 to work in: of those that show their backs, in how many subpixels they leak, or STAYS; FRONT for the others.
+    do any more: the order of the others stays. Triangles that light passes, and samples of such, neither leak nor
+    close leaks. subpixel: its width at depth 1 (perspective) or in metres; leaks (F,) int32 to work in: of those that
+    show their backs, in how many subpixels they leak, or STAYS; FRONT for the others.
     """
     f = fragments
     for k in range(count):
         leaks[k] = 0 if _shows_back(f, k, perspective) else FRONT
+        if cut_out_of(cut_outs, np.int64(f.part[k]), np.int64(f.triangle[k])) >= 0:
+            leaks[k] = STAYS
     found = np.int64(0)
     for y in range(height):
         for x in range(width):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.numerics.dither import SIDE, ranks
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
 from pointmr_engine.numerics.simd_cover import (
@@ -48,7 +49,7 @@ class Target(NamedTuple):
     farthest: np.ndarray  # (H / BLOCK, W / BLOCK) float32: lowest nearness in a block, or lower
     stale: np.ndarray  # the same, uint8: something was drawn since `farthest` was taken
     address: np.ndarray  # (3,) uint64: of depth, ids, pattern
-    pattern: np.ndarray  # (8, 16) float32: thresholds of an ordered dither, twice side by side
+    pattern: np.ndarray  # (64, 16) float32: thresholds of eight ordered dithers, each twice side by side
 
 
 def make_view(camera: CameraArrays, subpixels: int, depth_range: tuple[float, float]) -> View:
@@ -77,7 +78,7 @@ def allocate_target(width: int, height: int) -> Target:
     width, height = -(-width // BLOCK) * BLOCK, -(-height // BLOCK) * BLOCK
     depth = np.zeros((height, width + WIDTH), np.float32)
     ids = np.full((height, width + WIDTH), EMPTY, np.int32)
-    pattern = _dither()
+    pattern = _thresholds()
     blocks = (height // BLOCK, width // BLOCK)
     address = np.array([a.ctypes.data for a in (depth, ids, pattern)], np.uint64)
     return Target(depth, ids, np.zeros(blocks, np.float32), np.zeros(blocks, np.uint8), address, pattern)
@@ -92,12 +93,17 @@ def clear(target: Target, width: int) -> None:
     target.stale.fill(0)
 
 
-def _dither() -> np.ndarray:
-    """An 8 x 8 Bayer matrix of thresholds in (0, 1), repeated once along x."""
-    m = np.zeros((1, 1))
-    for _ in range(3):
-        m = np.block([[4 * m, 4 * m + 2], [4 * m + 3, 4 * m + 1]])
-    return np.ascontiguousarray(np.tile((m + 0.5) / 64, (1, 2)), np.float32)
+def _thresholds() -> np.ndarray:
+    """Target.pattern: those of numerics.dither, one order below the other."""
+    rows = (ranks().reshape(-1, SIDE) + 0.5) / SIDE**2
+    return np.ascontiguousarray(np.tile(rows, (1, 2)), np.float32)
+
+
+@device
+def thresholds_from(target, phase, x, y):
+    """Address of the thresholds of eight subpixels from (x, y) on. phase: 9 bits, the order and where it begins."""
+    row = 8 * (phase >> 6) + ((y ^ (phase >> 3)) & 7)
+    return target.address[2] + np.uint64(64 * row + 4 * ((x + (phase & 4)) & 7))
 
 
 @device
@@ -105,7 +111,7 @@ def cover_run(target, y, first, last, nearness, slope, entry, opacity, phase):
     """Draw entry at the subpixels first..last of row y; nearness at `first`. Returns whether any was written."""
     stride = np.int64(target.depth.shape[1])
     written = np.int64(0)
-    limits = target.address[2] + np.uint64(64 * ((y + (phase >> 3)) & 7) + 4 * ((first + phase) & 7))
+    limits = thresholds_from(target, phase, first, y)
     x = first
     while x <= last:
         written |= cover_eight(
@@ -142,7 +148,7 @@ def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope
         dx = f(first) + half - x
         for j in range(y0, y1 + 1):
             dy = f(j) + half - y
-            limits = target.address[2] + np.uint64(64 * ((j + (phase >> 3)) & 7) + 4 * ((first + phase) & 7))
+            limits = thresholds_from(target, phase, first, j)
             written |= cover_eight_within(
                 target.address[0], target.address[1], j * stride + first, dx - lean * dy,
                 spread * (one - dy * dy * inverse), nearness + slope_y * dy + slope_x * dx, slope_x, entry, limits,

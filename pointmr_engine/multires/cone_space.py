@@ -8,6 +8,7 @@ import numpy as np
 
 from pointmr_engine.hierarchy.acceleration import Acceleration
 from pointmr_engine.hierarchy.prefilter import Prefiltered
+from pointmr_engine.numerics.dither import ORDERS, ranks
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.pointers import (
     load_f64,
@@ -110,15 +111,11 @@ def _range_masks() -> tuple[np.ndarray, np.ndarray]:
 
 def _dither() -> np.ndarray:
     """Masks with about level / LEVELS of the bits, spread evenly over the square, in PHASES different orders."""
-    i, j = np.arange(64) % 8, np.arange(64) // 8
-    rank = np.zeros(64, np.int64)
-    for bit in range(3):
-        a, b = (i >> bit) & 1, (j >> bit) & 1
-        rank |= ((a ^ b) << (5 - 2 * bit)) | (b << (4 - 2 * bit))
     masks = np.zeros((PHASES, LEVELS + 1), np.uint64)
     for phase in range(PHASES):
+        rank = ranks()[phase % ORDERS].ravel() ^ (phase // ORDERS * 8)
         for level in range(LEVELS + 1):
-            on = ((rank ^ phase) * LEVELS < level * 64).astype(np.uint64)
+            on = (rank * LEVELS < level * 64).astype(np.uint64)
             masks[phase, level] = (on << np.arange(64, dtype=np.uint64)).sum(dtype=np.uint64)
     return masks
 

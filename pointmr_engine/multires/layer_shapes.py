@@ -239,7 +239,7 @@ def _triangle():
 
 @puts(put_cut_out, Layers)
 def _cut_out():
-    def draw(target, width, height, perspective, x, y, w, entry, opacity, mask, phase):
+    def draw(target, width, height, perspective, x, y, w, entry, opacity, mask, key):
         return layer_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask)
 
     return draw

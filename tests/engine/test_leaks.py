@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Instances, Material, Mesh, RenderSettings, Scene, render, uniform_world
+from pointmr_engine.forward.cut_outs import CutOuts, no_cut_outs
 from pointmr_engine.forward.leaks import close_leaks
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.instanced import random_transforms
@@ -26,12 +27,23 @@ def bodies(**values):
     return f
 
 
-def closed(ids, f) -> tuple[int, np.ndarray]:
+def closed(ids, f, cut_outs=None) -> tuple[int, np.ndarray]:
+    """How much of a tile `ids` leaked, and what is left."""
     ids = np.array(ids, np.int32)
     n = len(f.entry)
     f.count[:] = [(ids == k).sum() for k in range(n)]
     height, width = (np.int64(a) for a in ids.shape)
-    found = close_leaks(ids, width, height, True, np.float64(SUBPIXEL), f, np.int64(n), np.empty(n, np.int32))
+    found = close_leaks(
+        ids,
+        width,
+        height,
+        True,
+        np.float64(SUBPIXEL),
+        f,
+        cut_outs or no_cut_outs(2),
+        np.int64(n),
+        np.empty(n, np.int32),
+    )
     for k in np.unique(ids[ids >= 0]):
         assert f.count[k] == (ids == k).sum()
     return found, ids
@@ -64,6 +76,16 @@ def test_what_may_be_seen_stays(seen, values):
         getattr(f, name)[:] = value
     found, ids = closed(seen, f)
     assert found == 0 and ids.tolist() == seen
+
+
+@pytest.mark.parametrize("which", [FRONT, BACK])
+def test_what_light_passes_shows_what_is_behind_it(which):
+    """The two sides of a pane, or of a leaf with holes."""
+    mask = np.where(np.arange(3) == which, 0, -1).astype(np.int32)
+    found, ids = closed(
+        [[0, 1, 0]], bodies(), CutOuts(np.zeros(2, np.int64), mask, np.zeros((1, 2, 2), np.uint8))
+    )
+    assert found == 0 and ids.tolist() == [[0, 1, 0]]
 
 
 def test_two_leaves_are_not_one_surface():
