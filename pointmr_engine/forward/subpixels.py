@@ -78,7 +78,7 @@ def allocate_target(width: int, height: int) -> Target:
     width, height = -(-width // BLOCK) * BLOCK, -(-height // BLOCK) * BLOCK
     depth = np.zeros((height, width + WIDTH), np.float32)
     ids = np.full((height, width + WIDTH), EMPTY, np.int32)
-    pattern = _thresholds()
+    pattern = thresholds()
     blocks = (height // BLOCK, width // BLOCK)
     address = np.array([a.ctypes.data for a in (depth, ids, pattern)], np.uint64)
     return Target(depth, ids, np.zeros(blocks, np.float32), np.zeros(blocks, np.uint8), address, pattern)
@@ -93,9 +93,10 @@ def clear(target: Target, width: int) -> None:
     target.stale.fill(0)
 
 
-def _thresholds() -> np.ndarray:
-    """Target.pattern: those of numerics.dither, one order below the other."""
-    rows = (ranks().reshape(-1, SIDE) + 0.5) / SIDE**2
+def thresholds(turn_x: int = 0, turn_y: int = 0) -> np.ndarray:
+    """Target.pattern: the orders of numerics.dither, cell (x, y) having the rank of (x ^ turn_x, y ^ turn_y)."""
+    x, y = np.arange(SIDE) ^ turn_x, np.arange(SIDE) ^ turn_y
+    rows = (ranks()[:, y][:, :, x].reshape(-1, SIDE) + 0.5) / SIDE**2
     return np.ascontiguousarray(np.tile(rows, (1, 2)), np.float32)
 
 

@@ -22,7 +22,7 @@ from pointmr_engine.forward.placement_values import (
     allocate_placement_values,
     combine_placements,
 )
-from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps
+from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, thresholds
 from pointmr_engine.forward.tiles import WAITING
 from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import Scratch, walk
@@ -31,6 +31,7 @@ from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_vi
 from pointmr_engine.multires.looks import look_through_lens
 from pointmr_engine.multires.merge import choose_seen, copy_fragment, join, mergeable, unit_normal
 from pointmr_engine.multires.method import TracedShading, TracedTiles
+from pointmr_engine.numerics.dither import SIDE
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 from pointmr_engine.scene.group import CAMERA
@@ -163,6 +164,9 @@ class LensTiles(TracedTiles):
         super().__init__(image)
         side, n = len(self.target.ids), len(self.fragments.entry)
         self.part = allocate_target(side // image.side, side // image.side)
+        # views look at other places of a dither: what they show of a pixel together is all of it
+        step = max(SIDE // image.side, 1)
+        self.patterns = [thresholds(step * v.column % SIDE, step * v.row % SIDE) for v in image.views]
         self.own = Scratch(self.part)  # of the view that is drawn
         self.own.counters = self.scratch.counters
         self.scratch.entries = Entries(np.empty(n, np.int64), np.empty(0, np.int32))
@@ -190,6 +194,7 @@ class LensTiles(TracedTiles):
         x, y, width, height = self.left // v, self.low // v, self.width // v, self.height // v
         for k, seen in enumerate(image.views):
             clear(self.part, width)
+            self.part.pattern[:] = self.patterns[k]
             entries = walk(
                 seen.view, hierarchy, seen.camera_from_world, image.spacing / v, (x, y, x + width, y + height),
                 self.own, self.wanted, image.settings.forward.occlusion_culling, max(self.cell // v, 1),
