@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+
+from pointmr_engine.numerics.hashing import hash_u32
+from pointmr_engine.numerics.jit import device
 
 SIDE = 8  # sub-rays along each side of a cone
 FULL = np.uint64(2**64 - 1)
@@ -53,6 +57,48 @@ def axes_of(direction: np.ndarray) -> np.ndarray:
     axes[:, 1] = np.stack([b, sign + d[:, 1] ** 2 * a, -d[:, 1]], 1)
     axes[:, 2] = d
     return axes
+
+
+@device
+def perpendicular(x, y, z, dx, dy, dz):
+    """A unit vector along (x, y, z) less its part along the unit vector d; any across d where there is none."""
+    along = x * dx + y * dy + z * dz
+    x, y, z = x - along * dx, y - along * dy, z - along * dz
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 1e-6:
+        return x / length, y / length, z / length
+    if abs(dx) < 0.7:
+        x, y, z = 0.0, dz, -dy
+    else:
+        x, y, z = -dz, 0.0, dx
+    length = math.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
+
+
+@device
+def set_axes(cones, m, x, y, z, dx, dy, dz):
+    """Axes of cone m: along the unit vector d, with x as near to (x, y, z) as can be."""
+    x, y, z = perpendicular(x, y, z, dx, dy, dz)
+    cones.axes[m, 0, 0], cones.axes[m, 0, 1], cones.axes[m, 0, 2] = x, y, z
+    cones.axes[m, 1, 0] = dy * z - dz * y
+    cones.axes[m, 1, 1] = dz * x - dx * z
+    cones.axes[m, 1, 2] = dx * y - dy * x
+    cones.axes[m, 2, 0], cones.axes[m, 2, 1], cones.axes[m, 2, 2] = dx, dy, dz
+
+
+@device
+def jitter(x, y, z, width):
+    """Two numbers in [0, 1) that differ from point to point, but not with the place of the point in the image."""
+    scale = 8.0 / width if width > 0.0 else 1.0
+    a, b, c = (
+        np.int64(math.floor(x * scale)),
+        np.int64(math.floor(y * scale)),
+        np.int64(math.floor(z * scale)),
+    )
+    h = hash_u32(np.uint32(a & 0xFFFFFFFF))
+    h = hash_u32(np.uint32(h ^ np.uint32(b & 0xFFFFFFFF)))
+    h = hash_u32(np.uint32(h ^ np.uint32(c & 0xFFFFFFFF)))
+    return (h & np.uint32(0xFFFF)) / 65536.0, (h >> np.uint32(16)) / 65536.0
 
 
 def sub_rays(cones: Cones, u: np.ndarray | None = None, v: np.ndarray | None = None):

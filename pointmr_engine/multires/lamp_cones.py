@@ -10,8 +10,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.cones import Cones
-from pointmr_engine.numerics.hashing import hash_u32
+from pointmr_engine.multires.cones import Cones, jitter, perpendicular
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     AX,
@@ -42,52 +41,10 @@ CELL = 2.0 / ACROSS  # a cell's width on a lamp that reaches from -1 to 1
 NEAR = 0.02  # footprints: what is nearer throws no shadow
 EDGE_ON = 1e-3  # cosine below which flat lamps are not seen
 _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
-TERMS = (
-    7  # per cone: shifts of its cells along x and y; cosines at the point: towards the lamp, x, y; d.x, d.y
-)
-SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y = range(TERMS)
-
-
-@device
-def perpendicular(x, y, z, dx, dy, dz):
-    """A unit vector along (x, y, z) less its part along the unit vector d; any across d where there is none."""
-    along = x * dx + y * dy + z * dz
-    x, y, z = x - along * dx, y - along * dy, z - along * dz
-    length = math.sqrt(x * x + y * y + z * z)
-    if length > 1e-6:
-        return x / length, y / length, z / length
-    if abs(dx) < 0.7:
-        x, y, z = 0.0, dz, -dy
-    else:
-        x, y, z = -dz, 0.0, dx
-    length = math.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
-
-
-@device
-def set_axes(cones, m, x, y, z, dx, dy, dz):
-    """Axes of cone m: along the unit vector d, with x as near to (x, y, z) as can be."""
-    x, y, z = perpendicular(x, y, z, dx, dy, dz)
-    cones.axes[m, 0, 0], cones.axes[m, 0, 1], cones.axes[m, 0, 2] = x, y, z
-    cones.axes[m, 1, 0] = dy * z - dz * y
-    cones.axes[m, 1, 1] = dz * x - dx * z
-    cones.axes[m, 1, 2] = dx * y - dy * x
-    cones.axes[m, 2, 0], cones.axes[m, 2, 1], cones.axes[m, 2, 2] = dx, dy, dz
-
-
-@device
-def jitter(x, y, z, width):
-    """Two numbers in [0, 1) that differ from point to point, but not with the place of the point in the image."""
-    scale = 8.0 / width if width > 0.0 else 1.0
-    a, b, c = (
-        np.int64(math.floor(x * scale)),
-        np.int64(math.floor(y * scale)),
-        np.int64(math.floor(z * scale)),
-    )
-    h = hash_u32(np.uint32(a & 0xFFFFFFFF))
-    h = hash_u32(np.uint32(h ^ np.uint32(b & 0xFFFFFFFF)))
-    h = hash_u32(np.uint32(h ^ np.uint32(c & 0xFFFFFFFF)))
-    return (h & np.uint32(0xFFFF)) / 65536.0, (h >> np.uint32(16)) / 65536.0
+# what take_shares needs of a cone: how its cells are shifted, cosines at the point towards the lamp and along its
+# sides, cosines between these and the cone's axis
+SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y = range(7)
+TERMS = 7
 
 
 @device

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.lamp_cones import NEAR, jitter, set_axes
+from pointmr_engine.multires.cones import jitter, set_axes
+from pointmr_engine.multires.lamp_cones import NEAR
 from pointmr_engine.multires.lobe_view import WITHIN_LOBE
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, SEES_LAMPS, THROUGH, copy_path, copy_ray

@@ -281,18 +281,31 @@ def _mover(geometry, points, samples, every, direction, width):
 
     def moved(offset: np.ndarray, needs: frozenset[str] | None = None) -> SurfacePoints:
         n, needs = len(samples.part), every if needs is None else needs
+        times, rest = len(offset) // max(n, 1), needs - {"moved"}
+        if times > 1:
+            result = points.repeated(times, needs | {"position"})
+        else:
+            result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
+        result.moved = lambda more, needs=None: moved(offset + more, needs)
+        if result.position is not None:
+            result.position, rest = result.position + offset, rest - {"position"}
+        if not rest:
+            return result
         if not edges:
             edges.append(np.empty((n, 2, 3)))
             world_edges(geometry.tables, samples, edges[0])
-        u, v = np.empty(n), np.empty(n)
-        move_weights(edges[0], np.ascontiguousarray(offset, np.float64), samples.u, samples.v, u, v)
-        there, frames_there = samples._replace(u=u, v=v), None
-        if any(need.partition(":")[0] in _FRAME_NEEDS for need in needs):
-            frames_there = allocate_frames(n)
-            frames_of(geometry.tables, there, direction, frames_there)
-        result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
-        result.moved = lambda more, needs=None: moved(offset + more, needs)
-        _fill_surface(geometry, result, there, frames_there, needs - {"moved"}, direction, width)
+        there, of, towards, wide = samples, edges[0], direction, width
+        if times > 1:
+            again = np.tile(np.arange(n), times)
+            there, of, towards = Samples(*(c[again] for c in samples)), of[again], direction[again]
+            wide = None if width is None else width[again]
+        u, v = np.empty(len(offset)), np.empty(len(offset))
+        move_weights(of, np.ascontiguousarray(offset, np.float64), there.u, there.v, u, v)
+        there, frames_there = there._replace(u=u, v=v), None
+        if any(need.partition(":")[0] in _FRAME_NEEDS for need in rest):
+            frames_there = allocate_frames(len(offset))
+            frames_of(geometry.tables, there, towards, frames_there)
+        _fill_surface(geometry, result, there, frames_there, rest, towards, wide)
         return result
 
     return moved

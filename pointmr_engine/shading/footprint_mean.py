@@ -54,15 +54,16 @@ def footprint_means(
 
 def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int) -> dict:
     """Values (end - begin, n, ...) at places begin..end of the footprints of points `rows`, all in one batch."""
-    count = end - begin
-    points = gather(np.tile(rows, count))
+    count, n = end - begin, len(rows)
+    points = gather(rows)
     a, b = _axes(points)
     u, v = _turns(points.position, seed)
-    u = (u + np.repeat(_U[begin:end], len(rows))) % 1 - 0.5
-    v = (v + np.repeat(_V[begin:end], len(rows))) % 1 - 0.5
-    values = run(moved_points(points, u[:, None] * a + v[:, None] * b, needs))
+    u = (u + _U[begin:end, None]) % 1 - 0.5
+    v = (v + _V[begin:end, None]) % 1 - 0.5
+    offset = u[..., None] * a + v[..., None] * b
+    values = run(moved_points(points, offset.reshape(-1, 3), needs))
     return {
-        name: np.broadcast_to(x, (len(u), *x.shape[1:])).reshape(count, len(rows), *x.shape[1:])
+        name: np.broadcast_to(x, (count * n, *x.shape[1:])).reshape(count, n, *x.shape[1:])
         for name, x in values.items()
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -42,7 +42,8 @@ class SurfacePoints:
     object_random: np.ndarray | None = None  # (N,) float32
     material_index: int = 0
     # moved(offset (N, 3) float32, world, needs): the points there, in the plane of each one's triangle, with the fields
-    # that `needs` names (None: the same) filled; bump mapping differences its height through it (needs: "moved")
+    # that `needs` names (None: the same) filled; bump mapping differences its height through it (needs: "moved").
+    # (K N, 3): all points once by the first N, again by the next, and so on
     moved: Callable[[np.ndarray, frozenset[str] | None], SurfacePoints] | None = None
     axes: tuple[np.ndarray, np.ndarray] | None = None  # kept by differentials.axes_at
     # the ray that came here
@@ -55,6 +56,24 @@ class SurfacePoints:
     transparent_depth: np.ndarray | None = None
     camera_from_world: np.ndarray | None = None  # (3, 4) float64
     window: np.ndarray | None = None  # (N, 2) float32, position in the image, 0..1
+
+    def repeated(self, times: int, needs: frozenset[str]) -> SurfacePoints:
+        """The points so many times over, one after the other, with the fields that `needs` names and no others."""
+        changes: dict = {"count": times * self.count, "moved": None, "axes": None}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, np.ndarray) and f.name != "camera_from_world":
+                changes[f.name] = _tiled(value, times) if f.name in needs else None
+            elif isinstance(value, dict):
+                kind = {"uvs": "uv", "tangents": "tangent", "uv_footprints": "uv_footprint"}.get(
+                    f.name, f.name[:-1]
+                )
+                changes[f.name] = {k: _tiled(v, times) for k, v in value.items() if f"{kind}:{k}" in needs}
+        return replace(self, **changes)
+
+
+def _tiled(values: np.ndarray, times: int) -> np.ndarray:
+    return np.tile(values, (times,) + (1,) * (values.ndim - 1))
 
 
 # how a ray came here, bits of `ray_kind`

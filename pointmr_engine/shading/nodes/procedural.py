@@ -24,8 +24,9 @@ def _grey(values: np.ndarray) -> dict[str, np.ndarray]:
 def _checker(c: Call) -> dict[str, np.ndarray]:
     # nudged, so that coordinates on the very edge of a square fall to one side
     p = (c["vector"] * c.vector("scale") + np.float32(0.000001)) * np.float32(0.999999)
-    i = np.abs(np.floor(np.clip(np.nan_to_num(p), -1e9, 1e9)).astype(np.int64)) % 2
-    first = (i[:, 0] == i[:, 1]) == (i[:, 2] == 1)
+    square = np.floor(p)
+    odd = square - 2 * np.floor(square * np.float32(0.5)) == 1
+    first = (odd[:, 0] == odd[:, 1]) == odd[:, 2]
     return {"color": np.where(first[:, None], c["color1"], c["color2"]), "fac": first.astype(np.float32)}
 
 
