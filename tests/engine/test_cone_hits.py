@@ -97,18 +97,20 @@ def test_large_triangles_are_met_where_exact_rays_meet_them(seed, depth, offset)
 @pytest.mark.parametrize("spread", [0.1, 0.4])
 @pytest.mark.parametrize("exact_look", [True, False])
 def test_fragments_of_a_forest_are_as_near_as_exact_hits(spread, exact_look):
-    rng = np.random.default_rng(4)
-    geometry, acceleration = accelerate(forest(rng))
-    origin = np.concatenate([rng.uniform(-6, 6, (150, 2)), np.full((150, 1), 0.01)], 1)
-    cones = some_cones(origin, rng.normal(size=(150, 3)) * [0.5, 0.5, 0] + [0, 0, 1], spread)
-    fragments, masks, rays, hits, escaped = met(acceleration, cones, merging=Merging(exact=exact_look))
-    consistent(geometry, cones, fragments, masks, rays, hits, escaped)
-    exact, stretch = nearest(acceleration, cones)
-    found = np.isfinite(exact.t)
-    assert abs((~escaped).mean() - found.mean()) < 0.02
-    np.testing.assert_array_equal(np.bincount(fragments.cone, minlength=150) <= 8, True)
-    mean = np.average(1 / hits.t, weights=masks.sum(1))
-    assert mean == pytest.approx((1 / exact.t[found]).mean(), rel=0.05 if exact_look else 0.1)
+    off = []
+    for seed in range(6):  # what 150 cones meet is as near to 3 % only
+        rng = np.random.default_rng(seed)
+        geometry, acceleration = accelerate(forest(rng))
+        origin = np.concatenate([rng.uniform(-6, 6, (150, 2)), np.full((150, 1), 0.01)], 1)
+        cones = some_cones(origin, rng.normal(size=(150, 3)) * [0.5, 0.5, 0] + [0, 0, 1], spread)
+        fragments, masks, rays, hits, escaped = met(acceleration, cones, merging=Merging(exact=exact_look))
+        consistent(geometry, cones, fragments, masks, rays, hits, escaped)
+        exact, stretch = nearest(acceleration, cones)
+        found = np.isfinite(exact.t)
+        assert abs((~escaped).mean() - found.mean()) < 0.02
+        np.testing.assert_array_equal(np.bincount(fragments.cone, minlength=150) <= 8, True)
+        off.append(np.average(1 / hits.t, weights=masks.sum(1)) / (1 / exact.t[found]).mean() - 1)
+    assert abs(np.mean(off)) < (0.04 if exact_look else 0.1)
 
 
 def test_one_surface_is_one_fragment_and_another_is_its_own():
