@@ -202,7 +202,7 @@ def build() -> None:
     scene.world = world
 
     camera("Camera", (0.10, -1.12, 0.36), (0.004, 0.05, 0.112), 58.5, focus=(0.0, -0.06, 0.05), fstop=7.0)
-    scene.pointmr.method, scene.pointmr.samples = "DISTRIBUTED", 32
+    scene.pointmr.method, scene.pointmr.samples = "RAYTRACE", 32
     scene.pointmr.max_bounces, scene.pointmr.transmission_bounces = 12, 12
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.look = "AgX - Medium High Contrast"
