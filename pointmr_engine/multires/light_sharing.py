@@ -19,8 +19,9 @@ from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TR
 
 REACH = 2.0  # cones: how far apart fragments share
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
-# change with the root of 1 less the cosine of normals (their angle over 1.4); mirrored, light turns twice as far
-TURN_OF_WORLD, TURN_OF_LOBE = 1.0, 2.0 * math.sqrt(2.0)
+# change with the root of 1 less the cosine of normals (their angle over 1.4); mirrored, light turns twice as far; lamps
+# light the sides of bumps the more differently the more sideways they shine
+TURN_OF_WORLD, TURN_OF_LAMPS, TURN_OF_LOBE = 1.0, 4.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
 # Rows of the table of what fragments tell each other, by channel or axis: place in the image, what they have met, place
@@ -284,7 +285,7 @@ def share_light(
 ) -> None:
     """Add what fragments 0..count of a tile of `shape` pixels (rows, columns) share to out (F, 3) float32.
 
-    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; turn: TURN_OF_WORLD or _LOBE;
+    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; turn: TURN_OF_WORLD, ...;
     eye (3,) float64: where they are seen from, or for a parallel view a place among them.
     """
     start, order = np.empty((shape[0], shape[1] + 1), np.int32), np.empty(count, np.int32)

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.light_sharing import (
+    TURN_OF_LAMPS,
     TURN_OF_LOBE,
     TURN_OF_WORLD,
     allocate_shares,
@@ -116,7 +117,7 @@ class SharedLight:
         """Add what the tile's fragments 0..count receive together to space.light."""
         f, image = space.fragments, space.image
         for turn, shares in (
-            (TURN_OF_WORLD, self.world), (TURN_OF_WORLD, self.lamps), (TURN_OF_LOBE, self.lobes)
+            (TURN_OF_WORLD, self.world), (TURN_OF_LAMPS, self.lamps), (TURN_OF_LOBE, self.lobes)
         ):  # fmt: skip
             if len(shares.rays):
                 eye = image.camera.world_from_camera[:, 3] if image.view.perspective else shares.position[0]

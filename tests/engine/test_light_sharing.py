@@ -5,7 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointmr_engine import Group, Light, RenderSettings, Scene, emission, principled, render, uniform_world
+from benchmarks.closed_forms.stage import look_at
+from pointmr_engine import (
+    Group,
+    Light,
+    Material,
+    RenderSettings,
+    Scene,
+    emission,
+    principled,
+    render,
+    uniform_world,
+)
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.light_sharing import (
     REACH,
@@ -16,6 +27,7 @@ from pointmr_engine.multires.light_sharing import (
     take_reflected,
 )
 from pointmr_engine.render import Cache
+from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import at, from_above, quad
 
 SUBPIXELS = 8
@@ -184,3 +196,39 @@ def test_shared_light_of_lamps_is_as_bright_and_quieter(monkeypatch, floor, quie
     single = images()
     assert shared_.mean() == pytest.approx(single.mean(), rel=0.01)
     assert shared_.var(0).mean() * quieter < single.var(0).mean()
+
+
+def ridged(wave_number: float, height: float) -> Material:
+    """Matt, with ridges of so many radians a metre across x that only bump mapping knows."""
+    nodes = {
+        "place": Node("geometry"),
+        "axes": Node("separate_xyz", {"vector": Link("place", "position")}),
+        "phase": Node("math", {"value": Link("axes", "x"), "value_b": wave_number}, {"operation": "MULTIPLY"}),
+        "sine": Node("math", {"value": Link("phase", "value")}, {"operation": "SINE"}),
+        "bump": Node("bump", {"height": Link("sine", "value"), "distance": height}),
+        "matt": Node("diffuse", {"normal": Link("bump", "normal")}),
+    }  # fmt: skip
+    return Material("ridged", Graph(nodes, surface=Link("matt", "bsdf")))
+
+
+def test_bumps_under_many_lamps_keep_their_contrast():
+    """What lamps send to one side of a ridge is not what they send to the other."""
+    pixel = 3.0 / 48 * 36 / 50
+    k = 2 * np.pi / (6 * pixel)
+    lamps = [
+        Light("AREA", look_at((-3.0, 0.5 * y, 1.5), (0.0, 0.0, 0.0)), size_x=0.6, power=20.0)
+        for y in (-2, -1, 1, 2)
+    ]
+    scene = Scene(
+        Group("root", [quad(6.0, material=ridged(k, 0.4 / k))]),
+        from_above(3.0),
+        lamps,
+        uniform_world((0, 0, 0)),
+    )
+
+    def contrast(**values) -> float:
+        rows = render(scene, RenderSettings(48, 32, **values)).passes["combined"][4:-4, 4:-4, 0].mean(0)
+        smooth = np.convolve(rows, np.full(6, 1 / 6), "valid")
+        return float((rows[3:-2] - smooth).std() / rows.mean())
+
+    assert contrast(method="raytrace") > 0.95 * contrast(method="distributed", samples=64)
