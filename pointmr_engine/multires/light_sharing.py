@@ -19,9 +19,9 @@ from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TR
 
 REACH = 2.0  # cones: how far apart fragments share
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
-# change with the root of 1 less the cosine of normals (their angle over 1.4); mirrored, light turns twice as far; lamps
-# light the sides of bumps the more differently the more sideways they shine
-TURN_OF_WORLD, TURN_OF_LAMPS, TURN_OF_LOBE = 1.0, 4.0, 2.0 * math.sqrt(2.0)
+# change with the root of 1 less the cosine of normals (their angle over 1.4). The split sphere has 1 for the world, but
+# light from one side of it, or from lamps, makes more of bumps; mirrored, light turns twice as far
+TURN_OF_WORLD, TURN_OF_LAMPS, TURN_OF_LOBE = 3.0, 4.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
 # Rows of the table of what fragments tell each other, by channel or axis: place in the image, what they have met, place
