@@ -85,7 +85,7 @@ def test_large_triangles_are_met_where_exact_rays_meet_them(seed, depth, offset)
     within = (t[fragments.cone] >= fragments.depth[:, :1] * (1 - 1e-5)) & (
         t[fragments.cone] <= fragments.depth[:, 1:] * (1 + 1e-5)
     )
-    assert within[masks].mean() > 0.999
+    assert (~within[masks]).sum() <= 1 + masks.sum() / 1000  # an edge, which either triangle may have
     # every hit is that of a sub-ray of its fragment: same triangle, same placement
     for row in range(len(hits.t)):
         at = 64 * fragments.cone[row] + np.flatnonzero(masks[row])
