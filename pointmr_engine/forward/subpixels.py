@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.numerics.dither import SIDE, ranks
+from pointmr_engine.numerics.dither import RANKS, SIDE
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
 from pointmr_engine.numerics.simd_cover import (
@@ -96,7 +96,7 @@ def clear(target: Target, width: int) -> None:
 def thresholds(turn_x: int = 0, turn_y: int = 0) -> np.ndarray:
     """Target.pattern: the orders of numerics.dither, cell (x, y) having the rank of (x ^ turn_x, y ^ turn_y)."""
     x, y = np.arange(SIDE) ^ turn_x, np.arange(SIDE) ^ turn_y
-    rows = (ranks()[:, y][:, :, x].reshape(-1, SIDE) + 0.5) / SIDE**2
+    rows = (RANKS[:, y][:, :, x].reshape(-1, SIDE) + 0.5) / SIDE**2
     return np.ascontiguousarray(np.tile(rows, (1, 2)), np.float32)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pointmr_engine.hierarchy.acceleration import Acceleration
 from pointmr_engine.hierarchy.prefilter import Prefiltered
-from pointmr_engine.numerics.dither import ORDERS, ranks
+from pointmr_engine.numerics.dither import ORDERS, RANKS
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.pointers import (
     load_f64,
@@ -113,7 +113,7 @@ def _dither() -> np.ndarray:
     """Masks with about level / LEVELS of the bits, spread evenly over the square, in PHASES different orders."""
     masks = np.zeros((PHASES, LEVELS + 1), np.uint64)
     for phase in range(PHASES):
-        rank = ranks()[phase % ORDERS].ravel() ^ (phase // ORDERS * 8)
+        rank = RANKS[phase % ORDERS].ravel() ^ (phase // ORDERS * 8)
         for level in range(LEVELS + 1):
             on = (rank * LEVELS < level * 64).astype(np.uint64)
             masks[phase, level] = (on << np.arange(64, dtype=np.uint64)).sum(dtype=np.uint64)

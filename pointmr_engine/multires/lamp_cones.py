@@ -35,6 +35,7 @@ from pointmr_engine.raytracing.lamps import (
     VZ,
 )
 from pointmr_engine.scene.group import SHADOW
+from pointmr_engine.shading.bsdf.vector import dot
 
 ACROSS = 7  # of a cone's 8 cells lie in its lamp: the others are room for all to be shifted by half of one
 CELL = 2.0 / ACROSS  # a cell's width on a lamp that reaches from -1 to 1
@@ -48,15 +49,10 @@ TERMS = 7
 
 
 @device
-def _dot(ax, ay, az, bx, by, bz):
-    return ax * bx + ay * by + az * bz
-
-
-@device
 def _set_frame(cones, m, x, y, n, d):
     """Axes of cone m, so that its coordinates count along the vectors x, y and d: x, y and n at right angles, unit."""
-    depth = 1.0 / _dot(*d, *n)
-    lean_x, lean_y = _dot(*d, *x) * depth, _dot(*d, *y) * depth
+    depth = 1.0 / dot(d, n)
+    lean_x, lean_y = dot(d, x) * depth, dot(d, y) * depth
     for k in range(3):
         cones.axes[m, 0, k] = x[k] - lean_x * n[k]
         cones.axes[m, 1, k] = y[k] - lean_y * n[k]
@@ -117,7 +113,7 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
                 (-row[AX], -row[AY], -row[AZ]),
             )
             wide_x, wide_y = row[HALF_U], row[HALF_V]
-            if dx * across[0] + dy * across[1] + dz * across[2] < EDGE_ON:
+            if dot((dx, dy, dz), across) < EDGE_ON:
                 continue
         else:
             across = dx, dy, dz
@@ -134,14 +130,14 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
         d = tx / way, ty / way, tz / way
         cones.spread[m, 0], cones.spread[m, 1] = 4.0 * CELL * wide_x / way, 4.0 * CELL * wide_y / way
         n = np.float64(normal[k, 0]), np.float64(normal[k, 1]), np.float64(normal[k, 2])
-        towards = _dot(*n, *d)
-        along_x, along_y = _dot(*n, *x) * cones.spread[m, 0], _dot(*n, *y) * cones.spread[m, 1]
+        towards = dot(n, d)
+        along_x, along_y = dot(n, x) * cones.spread[m, 0], dot(n, y) * cones.spread[m, 1]
         if not both[k] and towards + abs(along_x) + abs(along_y) <= 0.0:
             continue
         rows[m] = k
         terms[m, SHIFT_X], terms[m, SHIFT_Y] = shift_x, shift_y
         terms[m, TOWARDS], terms[m, ALONG_X], terms[m, ALONG_Y] = towards, along_x, along_y
-        terms[m, LEAN_X], terms[m, LEAN_Y] = _dot(*d, *x), _dot(*d, *y)
+        terms[m, LEAN_X], terms[m, LEAN_Y] = dot(d, x), dot(d, y)
         cones.origin[m, 0], cones.origin[m, 1], cones.origin[m, 2] = px, py, pz
         cones.start[m, 0] = cones.start[m, 1] = 0.0
         _set_frame(cones, m, x, y, across, d)

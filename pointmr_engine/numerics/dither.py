@@ -25,8 +25,7 @@ _MAPS = (
 ORDERS = len(_MAPS)
 
 
-def ranks() -> np.ndarray:
-    """(ORDERS, 8, 8) int64, by y and x: which of the 64 cells are covered first."""
+def _ranks() -> np.ndarray:
     place = np.arange(SIDE * SIDE)
     out = np.zeros((ORDERS, SIDE * SIDE), np.int64)
     for order, rows in enumerate(_MAPS):
@@ -34,3 +33,6 @@ def ranks() -> np.ndarray:
             parity = np.array([int(p & row).bit_count() & 1 for p in place])
             out[order] = 2 * out[order] + parity
     return out.reshape(ORDERS, SIDE, SIDE)
+
+
+RANKS = _ranks()  # (ORDERS, 8, 8) int64, by y and x: which of the 64 cells are covered first

@@ -282,12 +282,11 @@ def _mover(geometry, points, samples, every, direction, width):
     def moved(offset: np.ndarray, needs: frozenset[str] | None = None) -> SurfacePoints:
         n, needs = len(samples.part), every if needs is None else needs
         times, rest = len(offset) // max(n, 1), needs - {"moved"}
+        result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
         if times > 1:
-            result = points.repeated(times, needs | {"position"})
-        else:
-            result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
+            result = result.repeated(times, needs)
         result.moved = lambda more, needs=None: moved(offset + more, needs)
-        if result.position is not None:
+        if "position" in rest and result.position is not None:
             result.position, rest = result.position + offset, rest - {"position"}
         if not rest:
             return result

@@ -35,7 +35,7 @@ def moved_points(
 ) -> SurfacePoints:
     """The points moved by world offsets (N, 3) in their surfaces' planes; exact where `points.moved` is given.
 
-    (K N, 3): all points once by the first N, again by the next, and so on; `needs` must be given then.
+    (K N, 3): all points once by the first N, again by the next, and so on.
 
     needs: the only fields that are read there. Without `points.moved` positions move, UVs follow the layer's tangent
     and footprint where both are known, the rest stays.
@@ -43,7 +43,7 @@ def moved_points(
     if points.moved is not None:
         return points.moved(offset, needs)
     if len(offset) > points.count:
-        points = points.repeated(len(offset) // points.count, needs | {"position", "local"})
+        points = points.repeated(len(offset) // points.count)
     changes: dict = {}
     if points.position is not None:
         changes["position"] = points.position + offset

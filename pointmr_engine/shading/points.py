@@ -57,18 +57,15 @@ class SurfacePoints:
     camera_from_world: np.ndarray | None = None  # (3, 4) float64
     window: np.ndarray | None = None  # (N, 2) float32, position in the image, 0..1
 
-    def repeated(self, times: int, needs: frozenset[str]) -> SurfacePoints:
-        """The points so many times over, one after the other, with the fields that `needs` names and no others."""
+    def repeated(self, times: int, needs: frozenset[str] | None = None) -> SurfacePoints:
+        """The points so many times over, one after the other; needs: with these arrays only (None: with all)."""
         changes: dict = {"count": times * self.count, "moved": None, "axes": None}
         for f in fields(self):
             value = getattr(self, f.name)
-            if isinstance(value, np.ndarray) and f.name != "camera_from_world":
-                changes[f.name] = _tiled(value, times) if f.name in needs else None
-            elif isinstance(value, dict):
-                kind = {"uvs": "uv", "tangents": "tangent", "uv_footprints": "uv_footprint"}.get(
-                    f.name, f.name[:-1]
-                )
-                changes[f.name] = {k: _tiled(v, times) for k, v in value.items() if f"{kind}:{k}" in needs}
+            if isinstance(value, dict):
+                changes[f.name] = {k: _tiled(v, times) for k, v in value.items()}
+            elif isinstance(value, np.ndarray) and f.name != "camera_from_world":
+                changes[f.name] = _tiled(value, times) if needs is None or f.name in needs else None
         return replace(self, **changes)
 
 

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, render, uniform_world
-from pointmr_engine.numerics.dither import ORDERS, SIDE, ranks
+from pointmr_engine.numerics.dither import ORDERS, RANKS, SIDE
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import from_above
-
-RANKS = ranks()
 
 
 @pytest.mark.parametrize("order", range(ORDERS))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pointmr_engine import Camera, Material, RenderSettings, Scene, render, uniform_world
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import Group
+from pointmr_engine.shading.differentials import moved_points
 from pointmr_engine.shading.footprint_mean import ALL, FIRST, GRAZING, NEEDS, footprint_means
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.program import compile_graph
@@ -179,3 +180,18 @@ def test_a_floor_of_far_squares_has_no_moire(method, bound):
         image = render(scene, settings).passes["combined"][..., :3].astype(float)
         assert image.mean() == pytest.approx(0.5, abs=0.02), name
         assert image.std() < bound, name
+
+
+def test_points_moved_to_several_places_at_once_are_those_moved_to_each():
+    """Without `moved`, too, where local places follow the object's transform."""
+    rng = np.random.default_rng(3)
+    points = plane_points(rng.uniform(-1, 1, (5, 2)), 0.2)
+    points.local = rng.uniform(-1, 1, (5, 3)).astype(np.float32)
+    points.world_from_part = np.tile(np.diag((2.0, 3.0, 4.0, 1.0))[:3], (5, 1, 1))
+    offsets = rng.uniform(-0.1, 0.1, (3, 5, 3))
+    whole = moved_points(points, offsets.reshape(-1, 3), frozenset({"position", "local"}))
+    for k in range(3):
+        one = moved_points(points, offsets[k], frozenset({"position", "local"}))
+        np.testing.assert_array_equal(whole.position[5 * k : 5 * k + 5], one.position)
+        np.testing.assert_array_equal(whole.local[5 * k : 5 * k + 5], one.local)
+    assert whole.count == 15
