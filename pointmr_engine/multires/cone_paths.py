@@ -49,6 +49,7 @@ class ConePaths(SharingPaths):
         self.ones = np.ones(n)
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
+        self.passed = np.empty((2, self.alpha.shape[1], 3))
         self.none_small = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
@@ -189,7 +190,7 @@ class ConePaths(SharingPaths):
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
             self.integrated, self.none_small if self.small is None else self.small, self.limit, self.glinting,
-            self.shared_light.lobes, np.int64(self.first),
+            self.shared_light.lobes, np.int64(self.first), self.passed,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.numerics.jit import device
+from pointmr_engine.numerics.jit import device, merged
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     IOR,
@@ -19,8 +19,8 @@ from pointmr_engine.shading.bsdf.layout import (
     WEIGHT,
 )
 from pointmr_engine.shading.bsdf.microfacet import IOR_MATCHED, evaluate, sample
-from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
-from pointmr_engine.shading.lobes import evaluate as evaluate_all
+from pointmr_engine.shading.bsdf.vector import dot, load3, row3
+from pointmr_engine.shading.lobes import value_of
 
 # roughness (GGX alpha) above which lobes take rays, at one cone a pixel: their cones would be too wide. With more
 # cones it is less, as the rays' noise is and the cones' bias is not
@@ -36,7 +36,7 @@ def rays_of(throughput, small):
     return np.int64(1) if small else min(max(np.int64(EACH * throughput), np.int64(1)), np.int64(MOST))
 
 
-@device
+@merged
 def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
     """Whether a lobe of throughput `largest` takes a ray by chance instead of a cone. limit: ROUGH, for these cones."""
     kind = lobes.kind[k, j]
@@ -47,11 +47,11 @@ def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
     return small or largest < strong or rough > limit
 
 
-@device
+@merged
 def draw_direction(lobes, k, j, wi, transmitted, u, v):
-    """A direction of lobe j of point k on one side, by its visible facets, and (rgb) BSDF * cosine / density there.
+    """A direction of lobe j of point k on one side, by its visible facets, (rgb) BSDF * cosine / density, and density.
 
-    The weight is 0 where there is no such direction.
+    The weight is 0 where there is no such direction. The density is that of the lobe's both sides together.
     """
     kind = lobes.kind[k, j]
     none = (0.0, 0.0, 0.0)
@@ -67,39 +67,42 @@ def draw_direction(lobes, k, j, wi, transmitted, u, v):
         or (dot(normal, wo) < 0.0) != transmitted
         or (dot(row3(lobes.geometric_normal, k), wo) < 0.0) != transmitted
     ):
-        return wo, none
+        return wo, none, 0.0
     f, pdf, _ = evaluate(kind, lobes.data, k, j, lobes.film_table, wi, wo)
     if not pdf > 0.0:
-        return wo, none
+        return wo, none, 0.0
     w, scale = load3(lobes.data, k, j, WEIGHT), chance / pdf
-    return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale)
+    return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale), pdf
 
 
-@device
-def behind_glossy(lobes, k, j, wi, wo, weight):
+@merged
+def behind_glossy(lobes, k, j, wi, wo, weight, density):
     """Factors (rgb) of what surfaces reflect that lie in direction wo, drawn from lobe j of point k with `weight`.
 
-    Paths are told apart by the lobe that chance chose, and a glossy one carries what all lobes reflect: so a part of
-    what diffuse surfaces send each other arrives although they may not bounce, and what chance gives to diffuse lobes
-    of glossy light does not (as in Cycles, and in `distributed`). Here it is as much, without that chance. What shines
-    itself is the lobe's alone, for light samples bring it to diffuse ones.
+    density: of lobe j there. Paths are told apart by the lobe that chance chose, and a glossy one carries what all
+    lobes reflect: so a part of what diffuse surfaces send each other arrives although they may not bounce, and what
+    chance gives to diffuse lobes of glossy light does not (as in Cycles, and in `distributed`). Here it is as much,
+    without that chance. What shines itself is the lobe's alone, for light samples bring it to diffuse ones.
     """
-    one = (1.0, 1.0, 1.0)
-    diffuse, _, _, pdf = evaluate_all(lobes, k, wi, wo)
-    if not pdf > 0.0:
-        return one
-    total, by_diffuse = mean(row3(lobes.transparency, k)), 0.0
+    own = np.float64(lobes.data[k, j, SAMPLE])
+    pdf, by_diffuse = own * density, 0.0  # times the sum of all chances
+    r, g, b = 0.0, 0.0, 0.0
     for i in range(np.int64(lobes.count[k])):
+        if i == j:
+            continue
         chance = np.float64(lobes.data[k, i, SAMPLE])
-        total += chance
-        if lobes.kind[k, i] & KIND_MASK < TRANSLUCENT:
+        f, chosen, _ = value_of(lobes, k, np.int64(i), wi, wo, False)
+        pdf += chance * chosen
+        base = lobes.kind[k, i] & KIND_MASK
+        if base <= TRANSLUCENT:
+            r, g, b = r + f[0], g + f[1], b + f[2]
+        if base < TRANSLUCENT:
             by_diffuse += chance * max(dot(load3(lobes.data, k, i, NORMAL), wo), 0.0) / math.pi
-    if not total > 0.0:
-        return one
-    kept = max(1.0 - by_diffuse / (total * pdf), 0.0)
-    added = np.float64(lobes.data[k, j, SAMPLE]) / (total * pdf)
+    if not pdf > 0.0:
+        return 1.0, 1.0, 1.0
+    kept, added = max(1.0 - by_diffuse / pdf, 0.0), own / pdf
     return (
-        kept + diffuse[0] * added / weight[0] if weight[0] > 0.0 else 1.0,
-        kept + diffuse[1] * added / weight[1] if weight[1] > 0.0 else 1.0,
-        kept + diffuse[2] * added / weight[2] if weight[2] > 0.0 else 1.0,
+        kept + r * added / weight[0] if weight[0] > 0.0 else 1.0,
+        kept + g * added / weight[1] if weight[1] > 0.0 else 1.0,
+        kept + b * added / weight[2] if weight[2] > 0.0 else 1.0,
     )

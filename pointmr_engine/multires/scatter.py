@@ -17,7 +17,7 @@ from pointmr_engine.multires.lobe_paths import WIDEST, go_on, no_cone, open_cone
 from pointmr_engine.multires.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
-from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.jit import device, merged, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
 from pointmr_engine.raytracing.paths import LAST, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
@@ -46,7 +46,7 @@ WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than 
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
 
-@device
+@merged
 def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
     """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 where diffuse."""
     zero = (0.0, 0.0, 0.0)
@@ -90,7 +90,7 @@ def _branch(chosen, weight, before, target, total):
     return 1.0
 
 
-@device
+@merged
 def _survives(out, m, chance):
     """Whether row m of paths goes on, by a random number, where its throughput is below WEAK; it is then that."""
     t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
@@ -103,7 +103,7 @@ def _survives(out, m, chance):
     return True
 
 
-@device
+@merged
 def _place(tables, samples, slot, bounce, k, j):
     """Two random numbers for lobe j of point k: at first surfaces the fragments of a pixel share them out."""
     seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
@@ -112,7 +112,7 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, limit, glinting, shares, first_share):  # fmt: skip
+                  record, integrated, small, limit, glinting, shares, first_share, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
@@ -120,7 +120,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     find all that shines on them, without chance. small (N,) bool: points that weigh too little to be worth cones.
     limit: roughness above which lobes take rays; glinting: throughput below which lobes behind first surfaces look for
     lamps. shares: what rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not
-    at all).
+    at all). passed (2, L, 3) float64 to work in.
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
@@ -144,6 +144,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         for j in range(np.int64(lobes.count[k])):
             r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
             total += _largest(r) + _largest(g)
+            passed[0, j, 0], passed[0, j, 1], passed[0, j, 2] = r
+            passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
         if not total > 0.0:
             continue
         chosen = bounce > 0 or total < SPLIT or crowded
@@ -164,10 +166,10 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             m += 1
         for j in range(np.int64(lobes.count[k])):
             integrated[k, j] = False
-            r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
+            r, g = row3(passed[0], j), row3(passed[1], j)
             rough = mean_roughness(lobes, k, j)
-            passed = total if chosen else _largest(r)
-            ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, passed, small[k], strong)
+            largest = total if chosen else _largest(r)
+            ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
             if sharing and ray and _largest(r) > 0.0:
                 add_lobe(shares, first_share + k, r, load3(lobes.data, k, j, NORMAL), rough)
             f = _branch(chosen, _largest(r), before, target, total)
@@ -201,7 +203,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     return m
 
 
-@device
+@merged
 def _reflect(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
     small, rough, ray,
@@ -215,7 +217,7 @@ def _reflect(
     cosine = dot(nm, wi)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     if ray:
-        wo, weight = draw_direction(lobes, k, j, wi, False, u, v)
+        wo, weight, density = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
                      np.int64(1), np.int64(0), record, rough)  # fmt: skip
@@ -223,7 +225,7 @@ def _reflect(
                 out.flags[m] |= SEES_LAMPS
             out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
             record.behind[m, 0], record.behind[m, 1], record.behind[m, 2] = behind_glossy(
-                lobes, k, j, wi, wo, weight
+                lobes, k, j, wi, wo, weight, density
             )
             m += 1
         return m
@@ -255,7 +257,7 @@ def _reflect(
     return m
 
 
-@device
+@merged
 def _refract(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, small, rough, ray
 ):
@@ -268,7 +270,7 @@ def _refract(
     inverse = 1.0 / ior if ior > 0.0 else 1.0
     bend = abs(1.0 - inverse) * rough
     if ray:
-        wo, weight = draw_direction(lobes, k, j, wi, True, u, v)
+        wo, weight, _ = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
                      RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip

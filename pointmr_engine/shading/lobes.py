@@ -253,40 +253,52 @@ def _diffuse_value(data, i, j, base, wi, wo):
 
 
 @device
+def value_of(lobes, i, j, wi, wo, sampled):
+    """Lobe j of point i between two directions, weight and bump included -> (BSDF * |cos| rgb, pdf, transmitted).
+
+    pdf: of choosing wo once the lobe is chosen; 0 also where bumps shut the lobe. sampled: wo was drawn from this very
+    lobe, which alone ignores the bumped leak test.
+    """
+    kind = lobes.kind[i, j]
+    base = kind & KIND_MASK
+    transmitted = False
+    if kind & SINGULAR_LOBE:
+        return _BLACK, 0.0, transmitted
+    if base <= TRANSLUCENT:
+        f, pdf = _diffuse_value(lobes.data, i, j, base, wi, wo)
+        transmitted = base == TRANSLUCENT
+    elif base == ASHIKHMIN_SHIRLEY:
+        grey, pdf = ashikhmin_shirley.evaluate(kind, lobes.data, i, j, wi, wo)
+        f = (grey, grey, grey)
+    else:
+        f, pdf, transmitted = microfacet.evaluate(kind, lobes.data, i, j, lobes.film_table, wi, wo)
+    if not pdf > 0.0:
+        return _BLACK, 0.0, transmitted
+    shadow = 1.0
+    if kind & BUMPED and not (sampled and transmitted):
+        shadow = _bump_shadowing(lobes, i, j, base, wo, sampled)
+        if shadow == 0.0 and not sampled:
+            return _BLACK, 0.0, transmitted
+    w = load3(lobes.data, i, j, WEIGHT)
+    return (shadow * w[0] * f[0], shadow * w[1] * f[1], shadow * w[2] * f[2]), pdf, transmitted
+
+
+@device
 def _sum(lobes, i, wi, wo, sampled):
-    """`evaluate`, with the lobe that wo was sampled from (-1: none), which alone ignores the bumped leak test."""
+    """`evaluate`, with the lobe that wo was sampled from (-1: none)."""
     diffuse_sum = _BLACK
     glossy_sum = _BLACK
     transmission_sum = _BLACK
     pdf_sum = 0.0
     weight_sum = mean(row3(lobes.transparency, i))
     for j in range(np.int64(lobes.count[i])):
-        kind = lobes.kind[i, j]
-        base = kind & KIND_MASK
         sample_weight = np.float64(lobes.data[i, j, SAMPLE])
         weight_sum += sample_weight
-        if kind & SINGULAR_LOBE:
-            continue
-        transmitted = False
-        if base <= TRANSLUCENT:
-            f, pdf = _diffuse_value(lobes.data, i, j, base, wi, wo)
-            transmitted = base == TRANSLUCENT
-        elif base == ASHIKHMIN_SHIRLEY:
-            grey, pdf = ashikhmin_shirley.evaluate(kind, lobes.data, i, j, wi, wo)
-            f = (grey, grey, grey)
-        else:
-            f, pdf, transmitted = microfacet.evaluate(kind, lobes.data, i, j, lobes.film_table, wi, wo)
+        f, pdf, transmitted = value_of(lobes, i, np.int64(j), wi, wo, j == sampled)
         if not pdf > 0.0:
             continue
-        shadow = 1.0
-        if kind & BUMPED and not (j == sampled and transmitted):
-            shadow = _bump_shadowing(lobes, i, j, base, wo, j == sampled)
-            if shadow == 0.0 and j != sampled:
-                continue
         pdf_sum += pdf * sample_weight
-        w = load3(lobes.data, i, j, WEIGHT)
-        f = (shadow * w[0] * f[0], shadow * w[1] * f[1], shadow * w[2] * f[2])
-        if base <= TRANSLUCENT:
+        if lobes.kind[i, j] & KIND_MASK <= TRANSLUCENT:
             diffuse_sum = combine(1.0, diffuse_sum, 1.0, f)
         elif transmitted:
             transmission_sum = combine(1.0, transmission_sum, 1.0, f)
