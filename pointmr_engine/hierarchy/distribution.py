@@ -16,7 +16,7 @@ from numba import njit
 from pointmr_engine.hierarchy.nesting import area_scale, enter, placed_group
 from pointmr_engine.hierarchy.octree import Octree
 from pointmr_engine.numerics.hashing import hash_path
-from pointmr_engine.numerics.jit import merged, uncounted
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_f64, pointer_i32
 
 _EXHAUSTED = (
@@ -148,7 +148,7 @@ def uniform(key, number):
     return np.float64(hash_path(key, number) >> np.uint64(11)) * _INV_2_53
 
 
-@merged
+@device
 def find_item(sums, shift, first, end, start, x):
     """The item i in first..end whose interval of sums holds x; quick if it is not far after `start`."""
     if start < first or start >= end or sums[start + shift] > x:
@@ -173,7 +173,7 @@ def find_item(sums, shift, first, end, start, x):
     return low
 
 
-@merged
+@device
 def _place(u, bits, weights):
     """Weights of vertices 1 and 2 of a point of a triangle: u in [0, 1) chooses a part of it, bits a point of the part.
 
@@ -197,7 +197,7 @@ def _place(u, bits, weights):
     weights[1] = b + size * (r * s - 1.0 / 3.0)
 
 
-@merged
+@device
 def draw(octree, distribution, tables, instances, first, end, u, key, chain, weights):
     """One random surface point of the items first..end of group chain.group[0]; O(levels * log n).
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.hierarchy.acceleration import Acceleration
 from pointmr_engine.hierarchy.prefilter import Prefiltered
@@ -188,7 +187,7 @@ def _fragments(w, s, cones, weights, escaped, counters, levels, scratch, style, 
     return row
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _describe(w, out, first, stop):
     for row in range(first, stop):
         describe(w, out.chain[row], out.length[row], out.hits, row)

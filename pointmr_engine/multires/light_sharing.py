@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.numerics.jit import device, merged, summed, uncounted
+from pointmr_engine.numerics.jit import device, summed, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
 REACH = 2.0  # cones: how far apart fragments share
@@ -58,7 +58,7 @@ def allocate_shares(n: int) -> Shares:
     )
 
 
-@merged
+@device
 def clear_share(shares: Shares, row, x, y, z):
     """Row of a fragment at (x, y, z) that has nothing to share, and has received nothing."""
     shares.rays[row] = shares.nearness[row] = shares.worth[row] = shares.width[row] = np.float32(0)
@@ -67,7 +67,7 @@ def clear_share(shares: Shares, row, x, y, z):
         shares.light[row, c] = shares.albedo[row, c] = shares.normal[row, c] = np.float32(0)
 
 
-@merged
+@device
 def add_lobe(shares: Shares, row, passed, normal, rough):
     """A lobe that sends rays becomes part of what a fragment shares. passed: rgb of its albedo times throughput."""
     if shares.width[row] == 0 or 2.0 * rough < shares.width[row]:

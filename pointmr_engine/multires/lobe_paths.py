@@ -9,7 +9,7 @@ import numpy as np
 from pointmr_engine.multires.cones import jitter, set_axes
 from pointmr_engine.multires.lamp_cones import NEAR
 from pointmr_engine.multires.lobe_view import WITHIN_LOBE
-from pointmr_engine.numerics.jit import merged
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, SEES_LAMPS, THROUGH, copy_path, copy_ray
 from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
@@ -17,7 +17,7 @@ from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 WIDEST = 3.0  # tangent of a cone's half angle at most
 
 
-@merged
+@device
 def go_on(
     paths, k, out, m, hits, frames, normal, flags, limits, r, g, b, dx, dy, dz, kind, glossy, transmission
 ):
@@ -54,7 +54,7 @@ def go_on(
     s.width[m] = a.width[k] + a.spread[k] * hits.t[k]
 
 
-@merged
+@device
 def pass_through(paths, k, out, m, hits, frames, limits, r, g, b):
     """Row m of `out` becomes the path k, begun again behind the surface that it passes straight."""
     copy_path(paths, k, 1.0, out, m)
@@ -72,7 +72,7 @@ def pass_through(paths, k, out, m, hits, frames, limits, r, g, b):
     out.rays.skip_path[m] = hits.path[k]
 
 
-@merged
+@device
 def no_cone(record, m, alpha):
     """Row m of the cones is a ray, of what kind `alpha` says (lobe_view)."""
     record.alpha[m] = alpha
@@ -82,7 +82,7 @@ def no_cone(record, m, alpha):
         record.behind[m, c] = 1
 
 
-@merged
+@device
 def send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind, glossy, transmission, record,
               rough):  # fmt: skip
     """Row m of `out` becomes a ray within a lobe, in direction wo."""
@@ -96,7 +96,7 @@ def send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind,
     record.rough[m] = rough
 
 
-@merged
+@device
 def open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
     """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it; grain: of its cells."""
     set_axes(cones, m, ix, iy, iz, dx, dy, dz)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.numerics.jit import device, merged
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     IOR,
@@ -36,7 +36,7 @@ def rays_of(throughput, small):
     return np.int64(1) if small else min(max(np.int64(EACH * throughput), np.int64(1)), np.int64(MOST))
 
 
-@merged
+@device
 def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
     """Whether a lobe of throughput `largest` takes a ray by chance instead of a cone. limit: ROUGH, for these cones."""
     kind = lobes.kind[k, j]
@@ -47,7 +47,7 @@ def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
     return small or largest < strong or rough > limit
 
 
-@merged
+@device
 def draw_direction(lobes, k, j, wi, transmitted, u, v):
     """A direction of lobe j of point k on one side, by its visible facets, (rgb) BSDF * cosine / density, and density.
 
@@ -75,7 +75,7 @@ def draw_direction(lobes, k, j, wi, transmitted, u, v):
     return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale), pdf
 
 
-@merged
+@device
 def behind_glossy(lobes, k, j, wi, wo, weight, density):
     """Factors (rgb) of what surfaces reflect that lie in direction wo, drawn from lobe j of point k with `weight`.
 

@@ -17,7 +17,7 @@ from pointmr_engine.multires.lobe_paths import WIDEST, go_on, no_cone, open_cone
 from pointmr_engine.multires.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
-from pointmr_engine.numerics.jit import device, merged, uncounted
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
 from pointmr_engine.raytracing.paths import LAST, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
@@ -46,7 +46,7 @@ WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than 
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
 
-@merged
+@device
 def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
     """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 where diffuse."""
     zero = (0.0, 0.0, 0.0)
@@ -90,7 +90,7 @@ def _branch(chosen, weight, before, target, total):
     return 1.0
 
 
-@merged
+@device
 def _survives(out, m, chance):
     """Whether row m of paths goes on, by a random number, where its throughput is below WEAK; it is then that."""
     t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
@@ -103,7 +103,7 @@ def _survives(out, m, chance):
     return True
 
 
-@merged
+@device
 def _place(tables, samples, slot, bounce, k, j):
     """Two random numbers for lobe j of point k: at first surfaces the fragments of a pixel share them out."""
     seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
@@ -203,7 +203,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     return m
 
 
-@merged
+@device
 def _reflect(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
     small, rough, ray,
@@ -257,7 +257,7 @@ def _reflect(
     return m
 
 
-@merged
+@device
 def _refract(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, small, rough, ray
 ):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import load_f32
 
 PAD = (
@@ -15,7 +15,7 @@ FLAT = np.float32(
 )  # stands for a direction component of zero, so that no infinity times zero can appear
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _axis(o, d, pad):
     """(reciprocal, shift of the first plane, shift of the last plane) of one axis, in single precision."""
     if abs(d) < FLAT:
@@ -25,7 +25,7 @@ def _axis(o, d, pad):
     return r, -(o + p) * r, (p - o) * r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def localize(ox, oy, oz, dx, dy, dz, radius):
     """A ray for a hierarchy whose coordinates, about its own centre (of which o is relative), are at most `radius`.
 
@@ -61,7 +61,7 @@ def localize(ox, oy, oz, dx, dy, dz, radius):
     return length, shift, pad, origin, direction, near, (rx, ry, rz), (nx, ny, nz), (fx, fy, fz)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def shear_of(origin, direction, scale):
     """(axes (kx, ky, kz), origin in that order, shear (Sx, Sy, Sz)) of a local ray for simd.triangle_test."""
     x, y, z = direction
@@ -81,7 +81,7 @@ def shear_of(origin, direction, scale):
     return axes, o, (p * r, q * r, r)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def edge_met_exactly(blocks, block, lane, axes, origin, shear):
     """Decide in double precision a triangle of simd.triangle_test that the ray meets at an edge: (hit, t, u, v).
 
@@ -101,7 +101,7 @@ def edge_met_exactly(blocks, block, lane, axes, origin, shear):
     return True, np.float32(t), np.float32(b / det), np.float32(c / det)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _sheared(blocks, block, lane, vertex, axes, origin, shear):
     at = vertex * 24 + lane
     z = load_f32(blocks, block * 72 + at + 8 * axes[2]) - origin[2]
@@ -110,7 +110,7 @@ def _sheared(blocks, block, lane, vertex, axes, origin, shear):
     return np.float64(x), np.float64(y), np.float64(shear[2] * z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def plane_distance(blocks, block, lane, ox, oy, oz, dx, dy, dz):
     """Parameter t, in double precision, at which a ray meets the plane of a block's triangle (NaN: parallel)."""
     ax, ay, az = _vertex(blocks, block, lane, np.int64(0))
@@ -122,7 +122,7 @@ def plane_distance(blocks, block, lane, ox, oy, oz, dx, dy, dz):
     return (nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)) / (nx * dx + ny * dy + nz * dz)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def point_distance(blocks, block, lane, u, v, ox, oy, oz, dx, dy, dz):
     """Parameter t, in double precision, of the point of a block's triangle with barycentric weights u, v."""
     ax, ay, az = _vertex(blocks, block, lane, np.int64(0))
@@ -135,7 +135,7 @@ def point_distance(blocks, block, lane, u, v, ox, oy, oz, dx, dy, dz):
     return (x * dx + y * dy + z * dz) / (dx * dx + dy * dy + dz * dz)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _vertex(blocks, block, lane, vertex):
     at = vertex * 24 + lane
     return (

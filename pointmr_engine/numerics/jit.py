@@ -1,10 +1,13 @@
-"""Decorators of kernels that allocate nothing."""
+"""Decorators of kernels that allocate nothing. LLVM merges each of them into its callers."""
 
 from __future__ import annotations
 
 from numba import njit
 
-_KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+# forceinline: numba hands every array over as seven words, so a function that takes a NamedTuple of arrays and is not
+# inlined costs hundreds of stores at each call, several times what most of them compute; LLVM, which sees only that
+# they are long, leaves many of them apart. (inline="always" would do the same before types are known, and is slow.)
+_KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False, "forceinline": True}
 _INNER = _KERNEL | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 # numba counts references to every array of a NamedTuple at each call that is not inlined, on counters that all threads
@@ -13,9 +16,6 @@ uncounted = njit(**_KERNEL)
 
 # The same for functions that only kernels call: without entries from Python and C they also compile much faster.
 device = njit(**_INNER)
-
-# The same, merged into its callers by LLVM, so that a loop over them can become vector code. Only for straight code.
-merged = njit(forceinline=True, **_INNER)
 
 # The same as `device` for loops that sum floats over long runs: the order of a sum's terms is LLVM's choice, so that it
 # can add vectors. For sums that never mean more than their rounding.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from pointmr_engine.numerics.jit import uncounted
 
 SINGULAR = 1e-12  # volume of a matrix's columns, relative to a box of their lengths, below which it is not invertible
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def determinant(m, at):
     """Determinant of the linear part of the transform at m[at : at + 12]."""
     return (
@@ -18,7 +19,7 @@ def determinant(m, at):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def is_singular(m, at):
     """True for a transform that cannot be inverted or has a value that is not finite."""
     box = 1.0
@@ -30,7 +31,7 @@ def is_singular(m, at):
     return not (np.isfinite(box) and np.isfinite(moved) and box > 0.0 and d > SINGULAR * box)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def ray_into(m, at, ox, oy, oz, dx, dy, dz):
     """A ray of the parent's space in the child's, for the transform parent_from_child at m[at : at + 12]."""
     a, b, c = m[at], m[at + 1], m[at + 2]
@@ -54,7 +55,7 @@ def ray_into(m, at, ox, oy, oz, dx, dy, dz):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def append_transform(out, m, at):
     """out (3, 4) = out * (the transform at m[at : at + 12]), in place."""
     for r in range(3):
@@ -64,7 +65,7 @@ def append_transform(out, m, at):
         out[r, 3] += x * m[at + 3] + y * m[at + 7] + z * m[at + 11]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def cofactors(m, out):
     """Cofactor matrix of m's linear part, signed so that it carries outside normals to outside normals.
 

@@ -53,7 +53,7 @@ class Samples(NamedTuple):
     world_from_part: np.ndarray  # (N, 3, 4) float64
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _normalized(x, y, z, fallback, out):
     length = np.sqrt(x * x + y * y + z * z)
     if length > 0.0 and length < np.inf:
@@ -144,7 +144,7 @@ def frames_of(tables, samples, outgoing, out):
         out.material[n] = tables.slot_material[tables.first_slot[p] + slot]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def local_points(tables, samples, local, generated):
     """Positions in the part's space and generated coordinates (0..1 over the mesh's box), (n, 3) or (0, 3) float32."""
     for n in range(len(samples.part)):
@@ -171,7 +171,7 @@ def local_points(tables, samples, local, generated):
                 generated[n, k] = (x - lower) / (upper - lower) if upper != lower else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def world_edges(tables, samples, out):
     """World edges from corner 0 of each sample's triangle, out (n, 2, 3) float64."""
     for n in range(len(samples.part)):

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.raytracing.surface import Frames, RayState, gather
 from pointmr_engine.scene.settings import RenderSettings
@@ -27,7 +28,7 @@ def allocate_view(n: int) -> View:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def fill_view(rays: Rays, kind, frames: Frames, out: View, n):
     """How rays 0..n see the surfaces that they hit: normals turned to the viewer's side."""
     for k in range(n):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.hierarchy.acceleration import Acceleration
 from pointmr_engine.numerics.hashing import combine_seeds, hash_path
 from pointmr_engine.numerics.intersect import localize
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import (
     load_f32,
     load_f64,
@@ -49,14 +49,14 @@ class Levels(NamedTuple):
     best_chain: np.ndarray  # (levels, 2) int64: those of the closest hit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _place(where, batch, i):
     """Index of an optional value of placement i of a batch; negative: it has none."""
     first = load_i64(where, 2 * batch)
     return first + load_i64(where, 2 * batch + 1) * i if first >= 0 else first
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def combined_flags(w, batch, i, flags):
     """Visibility and holdout bits of placement i of a batch below a path with `flags`."""
     at = _place(w.visibility, batch, i)
@@ -66,7 +66,7 @@ def combined_flags(w, batch, i, flags):
     return (flags & own & VISIBLE) | ((flags | own) & HOLDOUT)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def child_group(w, batch, i):
     """Index of the group that placement i of a batch places."""
     at = _place(w.group, batch, i)
@@ -76,7 +76,7 @@ def child_group(w, batch, i):
     return load_i32(w.batch_groups, row)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def describe(w, chain, length, hits, n):
     """Fill what the chain of instance records says about hit n."""
     world = hits.world_from_part[n]
@@ -113,7 +113,7 @@ def describe(w, chain, length, hits, n):
     hits.holdout[n] = (flags & HOLDOUT) != 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _enter(levels, level, ox, oy, oz, dx, dy, dz, group, flags, bottom, path):
     """Keep what is needed to come back to a group."""
     ray, state = levels.ray, levels.state
@@ -129,7 +129,7 @@ def _enter(levels, level, ox, oy, oz, dx, dy, dz, group, flags, bottom, path):
     levels.path[level] = path
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
     """Both kinds of walk over rays[start:stop]."""
     chain, best_chain = levels.chain, levels.best_chain

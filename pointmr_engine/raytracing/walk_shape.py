@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from pointmr_engine.numerics.intersect import (
     edge_met_exactly,
@@ -12,6 +11,7 @@ from pointmr_engine.numerics.intersect import (
     point_distance,
     shear_of,
 )
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import (
     load_f32,
     load_f64,
@@ -28,7 +28,7 @@ BLOCKED = -2  # Hits.triangle of a shadow ray that an opaque triangle stops
 MISS = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def push_children(mask, node, children, entry, stack, stack_t, sp):
     """Of the children in `mask` (not 0), the nearest is returned and the others pushed, nearest on top.
 
@@ -62,7 +62,7 @@ def push_children(mask, node, children, entry, stack, stack_t, sp):
     return nearest, sp
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def is_opaque(w, part, triangle):
     """True where nothing behind this triangle of a part can be seen."""
     whole = load_i8(w.part_opaque, part)
@@ -74,7 +74,7 @@ def is_opaque(w, part, triangle):
     return load_u8(w.slot_opaque, load_i32(w.part_first_slot, part) + slot) != 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def is_clear(w, part, triangle, u, v):
     """True where this triangle of a part is known to let all light through at weights u, v of vertices 1 and 2."""
     if w.clear_side == 0 or load_i64(w.clear_first, part) < 0:
@@ -88,7 +88,7 @@ def is_clear(w, part, triangle, u, v):
     return (load_i64(w.clear_bits, row + q) >> p) & 1 != 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scratch, sp):
     """Closest hit of a ray in the part's own space, nearer than t_max: (triangle or -1, t, u, v).
 

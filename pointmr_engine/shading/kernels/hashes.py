@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
+
 # signatures are given where callers would otherwise have one compiled for every literal that they pass
 
 
@@ -19,7 +21,7 @@ def rotate_left(x, k):
     return np.uint32(np.uint32(x << np.uint32(k)) | np.uint32(x >> np.uint32(32 - k)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def mix_words(a, b, c):
     """lookup3's reversible mixing of three words."""
     a = np.uint32(np.uint32(a - c) ^ rotate_left(c, 4))
@@ -37,7 +39,7 @@ def mix_words(a, b, c):
     return a, b, c
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def finish_words(a, b, c):
     """lookup3's last scrambling; the third word is the hash."""
     c = np.uint32(np.uint32(c ^ b) - rotate_left(b, 14))
@@ -62,13 +64,13 @@ def hash_words(count, x, y, z, w):
     return finish_words(a, b, c)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def unit_float(h):
     """A word as a float in 0..1."""
     return np.float32(h) * np.float32(1.0 / 4294967295.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def pcg3d(x, y, z):
     """Three words of 31 bits from three integers."""
     x = np.int32(x * 1664525 + 1013904223)
@@ -84,7 +86,7 @@ def pcg3d(x, y, z):
     return x & 0x7FFFFFFF, y & 0x7FFFFFFF, z & 0x7FFFFFFF
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def pcg2d(x, y):
     """Two words of 31 bits from two integers."""
     x = np.int32(x * 1664525 + 1013904223)
@@ -97,7 +99,7 @@ def pcg2d(x, y):
     return x & 0x7FFFFFFF, y & 0x7FFFFFFF
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def pcg4d(x, y, z, w):
     """Four words of 31 bits from four integers."""
     x = np.int32(x * 1664525 + 1013904223)
@@ -117,7 +119,7 @@ def pcg4d(x, y, z, w):
     return x & 0x7FFFFFFF, y & 0x7FFFFFFF, z & 0x7FFFFFFF, w & 0x7FFFFFFF
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def hash_bits(words, count, out):
     """out (n,) float32 in 0..1: the hash of each row's first `count` words; words (n, 4) uint32."""
     for i in range(words.shape[0]):

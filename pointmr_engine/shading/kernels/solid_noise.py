@@ -7,22 +7,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.numerics.jit import merged, uncounted
+from pointmr_engine.numerics.jit import device, uncounted
 
 _START = 0xDEADBEEF + (3 << 2) + 13  # lookup3's, of three words
 
 
-@merged
+@device
 def _word(x):
     return np.uint32(x)
 
 
-@merged
+@device
 def _rotated(x, k):
     return np.uint32(np.uint32(x << np.uint32(k)) | np.uint32(x >> np.uint32(32 - k)))
 
 
-@merged
+@device
 def _corner(ix, iy, iz, x, y, z):
     """Dot product of (x, y, z) with the gradient at a corner of the lattice; three uint32 and three float64."""
     a, b, c = _word(ix + _word(_START)), _word(iy + _word(_START)), _word(iz + _word(_START))
@@ -39,13 +39,13 @@ def _corner(ix, iy, iz, x, y, z):
     return (-first if h & _word(1) else first) + (-second if h & _word(2) else second)
 
 
-@merged
+@device
 def fade(t):
     """Perlin's quintic."""
     return t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 
 
-@merged
+@device
 def perlin_solid(x, y, z):
     """Gradient noise, unscaled: the eight corners of the cell blended. Coordinates below 2^31."""
     cx, cy, cz = np.floor(x), np.floor(y), np.floor(z)

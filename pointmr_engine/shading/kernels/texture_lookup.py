@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from pointmr_engine.numerics.jit import uncounted
+
 REPEAT, EXTEND, CLIP, MIRROR = range(4)
 # bits of `flags`
 CLOSEST, SRGB, UNASSOCIATE, CUBIC = 1, 2, 4, 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def wrap_texel(i, n, extension):
     """Index of texel i in 0..n-1, or -1 outside a clipped image."""
     if 0 <= i < n:
@@ -25,7 +27,7 @@ def wrap_texel(i, n, extension):
     return -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def add_texel(texels, offset, width, height, x, y, extension, weight, out):
     """Add weight times texel (x, y) of the level at `offset` to out (4,)."""
     x = wrap_texel(x, width, extension)
@@ -36,7 +38,7 @@ def add_texel(texels, offset, width, height, x, y, extension, weight, out):
             out[c] += weight * texels[k + c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def srgb_to_linear(x):
     """The sRGB decoding curve."""
     if x < 0.04045:
@@ -44,7 +46,7 @@ def srgb_to_linear(x):
     return ((x + 0.055) / 1.055) ** 2.4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def b_spline(f, k):
     """Weight of the k-th (0..3) of four texels for a point at fraction f between the second and the third."""
     if k == 0:
@@ -57,7 +59,7 @@ def b_spline(f, k):
     return f**3 / 6.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def add_cubic(texels, offset, width, height, x, y, extension, out):
     """Add the uniform cubic B-spline over 4 x 4 texels at (x, y), in texels, to out (4,)."""
     x0, y0 = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
@@ -70,7 +72,7 @@ def add_cubic(texels, offset, width, height, x, y, extension, out):
             )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@uncounted
 def lookup_level(texels, levels, level, u, v, extension, flags, scale, out):
     """Premultiplied scene-linear RGBA of one level at (u, v), into out (4,)."""
     offset, width, height = levels[level, 0], levels[level, 1], levels[level, 2]
