@@ -26,8 +26,8 @@ from pointmr_engine.scene.group import CAMERA
 from pointmr_engine.shading.bsdf.layout import WEIGHT
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
-BATCH = 8192
-FRESH = 2 * BATCH  # paths behind first surfaces that move on together
+BATCH = 16384
+PARTS = 2  # of the room for paths: so many may become of one, what its cone sees and what escapes
 FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those that do not wait any longer
 FLATNESS = 0.95  # of a piece, below which it is a clump that has no normal of its own
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
@@ -117,7 +117,9 @@ class FragmentPaths(Workspace):
         # of all fragments whose paths are under way; self.samples: of one batch, while its first surfaces are lit
         self.every = self.samples
         self.held, self.pieces = 0, []  # how many, and (first fragment, first sample, how many) of each batch
-        self.fresh, self.tail = PathPool(FRESH, room > 0), PathPool(FEW + MANY, room > 0)
+        # paths behind first surfaces that move on together, so few that nothing is left out of what they see
+        self.together = max(n // PARTS, 1) if room else n
+        self.fresh, self.tail = PathPool(n + self.together, room > 0), PathPool(FEW + MANY, room > 0)
         none = np.zeros((0, 3))
         self.tile = TileSums(
             none, none, none, none, *(np.zeros(0),) * 5, np.zeros(4, np.int64), np.zeros(1, np.int64)
@@ -141,8 +143,6 @@ class FragmentPaths(Workspace):
         now, then = self.queues
         if self.held + count > self.size:
             self._settle_paths()
-        if self.fresh.count > BATCH:
-            self._follow_pool(self.fresh, FEW)
         base = self.held
         self.samples = paths.Samples(*(a[base : base + count] for a in self.every))
         samples, hits, first_, n_ = self.samples, self.hits, np.int64(first), np.int64(count)
@@ -200,10 +200,9 @@ class FragmentPaths(Workspace):
         self.samples = self.every
         self.held += count
         self.pieces.append((first, base, count))
-        if n > self.fresh.room - self.fresh.count:
-            self._follow(then, now, n, 1, FEW)
-        else:
-            self.fresh.take(then, self.waiting_cones(), n, 1)
+        self.fresh.take(then, self.waiting_cones(), n, 1)
+        while self.fresh.count > self.together:
+            self._follow_pool(self.fresh, FEW, self.together)
 
     def leave(self, then, n: int, base: int, count: int) -> None:
         """Paths 0..n go on from `count` first surfaces, whose samples begin at `base`: a place to tell them apart."""
@@ -212,9 +211,9 @@ class FragmentPaths(Workspace):
         """LobeCones of the paths that go on, or None."""
         return None
 
-    def _follow_pool(self, pool: PathPool, few: int) -> None:
+    def _follow_pool(self, pool: PathPool, few: int, most: int | None = None) -> None:
         now, then = self.queues
-        n, bounce = pool.give(now, self.waiting_cones())
+        n, bounce = pool.give(now, self.waiting_cones(), most)
         self._follow(now, then, n, bounce, few)
 
     def _follow(self, now, then, n: int, bounce: int, few: int) -> None:

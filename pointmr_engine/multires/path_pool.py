@@ -28,6 +28,7 @@ class PathPool:
         self.room, self.count, self.bounce = room, 0, 0
         own = allocate_lobe_cones(room, allocate_cones(room)) if cones else None
         self._own = _columns(allocate_paths(room), own)
+        self._part = own.part if cones else np.zeros(room, np.int8)
 
     def empty(self) -> None:
         self.count = self.bounce = 0
@@ -39,10 +40,19 @@ class PathPool:
         self.count += n
         self.bounce = max(self.bounce, bounce)
 
-    def give(self, paths: Paths, cones: LobeCones | None) -> tuple[int, int]:
-        """Move all to the first rows of paths and cones; returns (how many, their next bounce)."""
-        given = self.count, self.bounce
+    def give(self, paths: Paths, cones: LobeCones | None, most: int | None = None) -> tuple[int, int]:
+        """Move all to the first rows of paths and cones, or the last `most`, or one more.
+
+        Returns how many, and their next bounce.
+        """
+        first = 0 if most is None else max(self.count - most, 0)
+        while (
+            0 < first < self.count and self._part[first] == 2
+        ):  # what lies around a lobe's core stays with it
+            first -= 1
+        given = self.count - first, self.bounce
         for own, other in zip(self._own, _columns(paths, cones), strict=True):
-            other[: self.count] = own[: self.count]
-        self.empty()
+            other[: given[0]] = own[first : self.count]
+        self.count = first
+        self.bounce = self.bounce if first else 0
         return given

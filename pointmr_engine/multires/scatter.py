@@ -185,7 +185,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 for _ in range(times):
                     m = _reflect(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
-                        glints, integrated[k, j], small[k], rough, ray,
+                        glints, integrated[k, j], small[k], rough, ray, crowded,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
             f = _branch(chosen, _largest(g), before, target, total)
@@ -206,11 +206,12 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
 @device
 def _reflect(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
-    small, rough, ray,
+    small, rough, ray, alone,
 ):  # fmt: skip
     """The ray of a lobe that reflects, its cone, or the two of one that matters; returns the next row.
 
-    w: its throughput; factor: of chance, in it; u, v: random numbers for the ray; rough: mean_roughness.
+    w: its throughput; factor: of chance, in it; u, v: random numbers for the ray; rough: mean_roughness; alone: there
+    is room for one row and no more.
     """
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
@@ -233,7 +234,7 @@ def _reflect(
     d = towards_normal(nm, d, rough)
     if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
         return m
-    two = singular == 0 and not small and _largest(w) > STRONG
+    two = singular == 0 and not small and not alone and _largest(w) > STRONG
     wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
     for part in range(2 if two else 1):
