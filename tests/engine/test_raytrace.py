@@ -47,6 +47,13 @@ def difference(a: np.ndarray, b: np.ndarray) -> float:
     return math.sqrt(((a - b) ** 2).mean()) / b.mean()
 
 
+def most(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of both but for the few that differ most: in some seeds one meets a lamp in many mirrors."""
+    square = ((a - b) ** 2).mean(-1)
+    kept = square <= np.quantile(square, 0.995)
+    return a[kept], b[kept]
+
+
 def ball(x: float, y: float, radius: float, material) -> Mesh:
     mesh = curved_mirror.sphere(32)
     positions = (mesh.positions * radius + (x, y, radius)).astype(np.float32)
@@ -265,9 +272,11 @@ def test_a_million_metres_away_the_image_is_the_same(name):
         room() if name == "room" else lit_floor(quad(1.0, 1.0, principled("dull", specular_ior_level=0.0)))
     )
     near, far = (image(carried(scene, m), cones=4) for m in (np.eye(4), at(1e6, -1e6, 1e6)))
-    # what is left to chance differs as much as between two seeds
-    bound = (
-        1.5 * difference(image(carried(scene, np.eye(4)), cones=4, seed=1), near) if name == "room" else 1e-3
-    )
+    if name == "room":  # what is left to chance differs as much as between two seeds
+        other = image(carried(scene, np.eye(4)), cones=4, seed=1)
+        bound = 1.5 * difference(*most(other, near))
+        far, near = most(far, near)
+    else:
+        bound = 1e-3
     assert difference(far, near) < bound
     assert far.mean() == pytest.approx(near.mean(), rel=0.005)
