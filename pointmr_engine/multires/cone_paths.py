@@ -19,7 +19,7 @@ from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, sample_widened, share_with_lobes
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
-from pointmr_engine.multires.shadow_edges import LARGE
+from pointmr_engine.multires.shadow_edges import LARGE, sum_by_source
 from pointmr_engine.multires.sharing_paths import SharingPaths
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
@@ -131,8 +131,7 @@ class ConePaths(SharingPaths):
             self.shared_light.of_lamps(chosen, self.lit_rows[:m])
         count = super().connect(now, m, chosen)
         if self.world_light is not None:
-            light = self.shadows.light[:count].sum(1)
-            self.world_light += np.bincount(self.shadows.source[:count], light, len(self.world_light))
+            sum_by_source(self.shadows.light, self.shadows.source, np.int64(count), self.world_light)
         if shared:
             restore_lobes(self.lobes, self.lit_rows, chosen, glints, np.int64(m), self.shared)
         return count

@@ -54,6 +54,13 @@ def find_edges(pixel, shape, open_light, light, subpixels, count, low, high, edg
         edge[k] = most - least > DIFFERENT
 
 
+@uncounted
+def sum_by_source(light, source, count, out):
+    """Add the channels of light (N, 3) of shadow rays 0..count to out (M,), at their sources (N,)."""
+    for i in range(count):
+        out[source[i]] += light[i, 0] + light[i, 1] + light[i, 2]
+
+
 class EdgePaths(FragmentPaths):
     """Paths from fragments whose direct light follows the edges of sharp shadows."""
 
@@ -61,7 +68,7 @@ class EdgePaths(FragmentPaths):
         super().__init__(stage, room)
         self.alive = None  # (n,) of the fragments whose edges matter, while they are lit
         self.part = 1.0  # of a light sample
-        self.open_light = np.zeros(len(self.flat))
+        self.open_light, self.measures = np.zeros(len(self.flat)), False  # of a lamp; while it is looked for
         self.low, self.high = np.empty((0, 0)), np.empty((0, 0))
 
     def start_tile(self, space) -> None:
@@ -82,8 +89,8 @@ class EdgePaths(FragmentPaths):
 
     def connect(self, now, m: int, chosen) -> int:
         count = super().connect(now, m, chosen)
-        if self.alive is not None:
-            self.open_light[self.shadows.source[:count]] = self.shadows.light[:count].sum(1)
+        if self.measures:
+            sum_by_source(self.shadows.light, self.shadows.source, np.int64(count), self.open_light)
         return count
 
     def _look_at_light(self, now, m: int, turn) -> None:
@@ -92,8 +99,9 @@ class EdgePaths(FragmentPaths):
             return
         n, radiance = self.count, self.samples.radiance
         before = radiance[:n].copy()
-        self.open_light[:n] = 0.0
+        self.open_light[:n], self.measures = 0.0, True
         super()._look_at_light(now, m, turn)
+        self.measures = False
         f, space = self.space.fragments, self.space
         got = (radiance[:n] - before).sum(1)
         edge = np.empty(n, np.bool_)
