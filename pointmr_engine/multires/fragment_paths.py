@@ -118,7 +118,7 @@ class FragmentPaths(Workspace):
         self.every = self.samples
         self.held, self.pieces = 0, []  # how many, and (first fragment, first sample, how many) of each batch
         # paths behind first surfaces that move on together, so few that nothing is left out of what they see
-        self.together = max(n // PARTS, 1) if room else n
+        self.together = max(n // PARTS - 1, 1) if room else n  # PathPool.give may give one more
         self.fresh, self.tail = PathPool(n + self.together, room > 0), PathPool(FEW + MANY, room > 0)
         none = np.zeros((0, 3))
         self.tile = TileSums(

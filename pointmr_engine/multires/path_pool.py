@@ -25,7 +25,7 @@ class PathPool:
     """Up to `room` paths at the same bounce or earlier, with their lobes' cones if `cones`."""
 
     def __init__(self, room: int, cones: bool):
-        self.room, self.count, self.bounce = room, 0, 0
+        self.count = self.bounce = 0
         own = allocate_lobe_cones(room, allocate_cones(room)) if cones else None
         self._own = _columns(allocate_paths(room), own)
         self._part = own.part if cones else np.zeros(room, np.int8)
@@ -45,10 +45,8 @@ class PathPool:
 
         Returns how many, and their next bounce.
         """
-        first = 0 if most is None else max(self.count - most, 0)
-        while (
-            0 < first < self.count and self._part[first] == 2
-        ):  # what lies around a lobe's core stays with it
+        first, part = 0 if most is None else max(self.count - most, 0), self._part
+        if 0 < first < self.count and part[first] == 2:  # what lies around a lobe's core stays with it
             first -= 1
         given = self.count - first, self.bounce
         for own, other in zip(self._own, _columns(paths, cones), strict=True):
