@@ -29,7 +29,7 @@ from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
-ROOM = 4 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
+ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 # of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
 AROUND = 0.5

@@ -26,7 +26,7 @@ from pointmr_engine.scene.group import CAMERA
 from pointmr_engine.shading.bsdf.layout import WEIGHT
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
-BATCH = 16384
+BATCH = 8192
 PARTS = 2  # of the room for paths: so many may become of one, what its cone sees and what escapes
 FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those that do not wait any longer
 FLATNESS = 0.95  # of a piece, below which it is a clump that has no normal of its own
