@@ -6,7 +6,7 @@ from numba import njit
 
 # forceinline: numba hands every array over as seven words, so a function that takes a NamedTuple of arrays and is not
 # inlined costs hundreds of stores at each call, several times what most of them compute; LLVM, which sees only that
-# they are long, leaves many of them apart. (inline="always" would do the same before types are known, and is slow.)
+# they are long, leaves many of them apart. (numba's own inlining, before types are known, compiles many times slower.)
 _KERNEL = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False, "forceinline": True}
 _INNER = _KERNEL | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
