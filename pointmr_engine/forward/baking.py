@@ -13,7 +13,7 @@ from pointmr_engine.numerics.pointers import load_i32
 from pointmr_engine.raytracing.surface import points_at
 from pointmr_engine.shading import leaves as kinds
 from pointmr_engine.shading.leaves import COLUMNS, Leaf
-from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
 from pointmr_engine.shading.program import Program
 
 
@@ -33,8 +33,11 @@ class Baker:
                 looks[m, :3], looks[m, 3:6], looks[m, 6] = albedo[0], emission[0], 1
         return looks
 
-    def __call__(self, part, triangle, u, v, width) -> Look:
-        """Looks of points (n,) of triangles in their shapes, averaged over `width` (n,) metres where images are."""
+    def __call__(self, part, triangle, u, v, width, ray_kind: int = RAY_CAMERA) -> Look:
+        """Looks of points (n,) of triangles in their shapes, averaged over `width` (n,) metres where images are.
+
+        ray_kind: bits RAY_* of the rays that look, for materials that ask.
+        """
         geometry = self.geometry
         n = len(part)
         look = Look(
@@ -62,6 +65,8 @@ class Baker:
                 )  # fmt: skip
                 if points.footprint is not None:
                     points.footprint = np.ascontiguousarray(width[chosen], np.float32)
+                if points.ray_kind is not None:
+                    points.ray_kind[:] = ray_kind
                 albedo, emission, alpha = reduce_leaves(program.evaluate(points), len(chosen))
             look.albedo[rows], look.emission[rows], look.alpha[rows] = albedo, emission, alpha
         return look

@@ -17,6 +17,7 @@ from pointmr_engine.multires.world_rays import WORTH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
 from pointmr_engine.raytracing.lights import LAMP, WORLD
+from pointmr_engine.shading.points import RAY_SHADOW
 
 # shadow rays of a fragment to the world, to emitters, to one of many lights
 WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4  # of a point; of first surfaces to the world: see world_rays
@@ -101,7 +102,7 @@ def _is_wide(lamps, k: int) -> bool:
 
 
 def mean_opacity(sampler) -> np.ndarray:
-    """(materials,) mean opacity of each material, over the middles of a few of its triangles where it varies."""
+    """(materials,) mean opacity of each material for shadows, over the middles of some of its triangles."""
     opacity = np.array([float(p.opaque) for p in sampler.programs] + [1.0])[: len(sampler.geometry.materials)]
     for p in range(len(sampler.geometry.parts)):
         tables = sampler.geometry.tables
@@ -113,7 +114,7 @@ def mean_opacity(sampler) -> np.ndarray:
             continue
         triangle = np.unique(np.linspace(0, count - 1, OPACITY_LOOKS).astype(np.int32))
         some = np.full(len(triangle), p, np.int32), triangle, *np.full((3, len(triangle)), 1 / 3, np.float32)
-        alpha = sampler.baker(*some).alpha
+        alpha = sampler.baker(*some, ray_kind=RAY_SHADOW).alpha
         material = np.empty(len(triangle), np.int32)
         materials_of(tables, *some[:2], material)
         for m in np.unique(material):

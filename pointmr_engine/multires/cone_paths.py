@@ -15,6 +15,7 @@ from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gathe
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, take_shares
+from pointmr_engine.multires.lobe_lamps import lamps_in_cones, stop_sub_rays
 from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, sample_widened, share_with_lobes
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
@@ -97,7 +98,7 @@ class ConePaths(SharingPaths):
             super()._direct_light(now, n, weak, bounce)
             lobes.count[:n][weak] = 0
             alive = alive & ~weak
-        self.stage, self.glints = self.strong_stage, bounce > 0 and light.many
+        self.stage, self.glints = self.strong_stage, light.many
         if bounce == 0:
             self.shared_light.begin(lobes, now.throughput, self.frames.position, self.first, n)
         if light.rays.turns:
@@ -125,7 +126,7 @@ class ConePaths(SharingPaths):
             pdf = self._own_pdf(m, chosen)
             share_with_lobes(
                 self.lobes, self.view.incoming, self.lit_rows, chosen, pdf, self.light.lights.arrays.lamps.mis,
-                glints, self.integrated, np.int64(m), self.shared,
+                glints, self.small is None, self.integrated, np.int64(m), self.shared,
             )  # fmt: skip
         if self.asks == LAMP:
             self.shared_light.of_lamps(chosen, self.lit_rows[:m])
@@ -189,7 +190,7 @@ class ConePaths(SharingPaths):
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
             self.integrated, self.none_small if self.small is None else self.small, self.limit, self.glinting,
-            self.shared_light.lobes, np.int64(self.first), self.passed,
+            self.light.many, self.shared_light.lobes, np.int64(self.first), self.passed,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
@@ -222,6 +223,8 @@ class ConePaths(SharingPaths):
                 light.acceleration, light.prefiltered()[1], lobes.cones, self.met_fragments, met.rays, hits,
                 self.escaped, None, 0, n, merging=merging, weights=lobes.weights,
             )  # fmt: skip
+            if bounce == 1 and light.many and light.extended:
+                self._see_lamps(now, count, n)
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
             self.lobe_alpha, self.behind, self.around,
@@ -232,6 +235,16 @@ class ConePaths(SharingPaths):
         self.counters["lobe_fragments"] += counts[0]
         frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
         return self.meet(tile, met, then, total, bounce) if total else 0
+
+    def _see_lamps(self, now, count: int, n: int) -> None:
+        """Add the lamps that the cones of n paths see, between the `count` fragments that they meet."""
+        arrays, fragments = self.light.lights.arrays, self.met_fragments
+        begin, seen = np.empty(n + 1, np.int64), np.empty((n, 3), np.float32)
+        stop_sub_rays(fragments, np.int64(count), begin)
+        lamps_in_cones(
+            arrays.lamps, arrays.met_lamps, now, self.lobe_cones, fragments, begin, np.int64(n), seen
+        )
+        paths.add_radiance(now, self.samples, self.stage.limits, seen, self.ones[:n], n)
 
     def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:
         stage, self.stage = self.stage, self.weak_stage  # whose samples share lamps with what lobes see

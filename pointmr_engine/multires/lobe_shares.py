@@ -24,6 +24,8 @@ from pointmr_engine.shading.bsdf.layout import (
 )
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
+NARROW = 0.3  # roughness (GGX alpha) of refractions below which lamps behind first surfaces are left to rays
+
 
 @device
 def mean_roughness(lobes, k, j):
@@ -40,12 +42,13 @@ def _is_shared(samples, i, glints):
 
 
 @uncounted
-def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, integrated, count, kept):
+def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, behind, integrated, count, kept):
     """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
 
     Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
     the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, they look for lamps that rays can meet, too,
-    where they reflect (SEES_LAMPS). kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    where they reflect (SEES_LAMPS), and `behind` first surfaces where they refract narrowly: only a ray finds its way
+    through glass. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
     """
     for i in range(count):
         if not _is_shared(samples, i, glints):
@@ -61,8 +64,9 @@ def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, i
                 if lamp and not mis_of_lamp[samples.index[i]]:
                     share = 1.0
                 elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
-                    share = 1.0 if lamp else 0.0
-                elif integrated[k, j] and not lamp:
+                    narrow = behind and mean_roughness(lobes, k, np.int64(j)) < NARROW
+                    share = 1.0 if lamp and not narrow else 0.0
+                elif integrated[k, j]:
                     share = 0.0
                 elif pdf[i] > 0.0:
                     rough = mean_roughness(lobes, k, np.int64(j))

@@ -15,7 +15,7 @@ from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.light_sharing import add_lobe, clear_share
 from pointmr_engine.multires.lobe_paths import WIDEST, go_on, no_cone, open_cone, pass_through, send_ray
 from pointmr_engine.multires.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
-from pointmr_engine.multires.lobe_shares import mean_roughness
+from pointmr_engine.multires.lobe_shares import NARROW, mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
@@ -31,6 +31,7 @@ from pointmr_engine.shading.bsdf.layout import (
     TRANSLUCENT,
     WEIGHT,
 )
+from pointmr_engine.shading.bsdf.microfacet import fresnel
 from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 from pointmr_engine.shading.points import RAY_GLOSSY, RAY_REFLECTION, RAY_SINGULAR, RAY_TRANSMISSION
@@ -42,8 +43,28 @@ CORE, REST = (
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
+CLEAR = 0.5  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth
+LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in roughnesses, and how many
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
+
+
+@device
+def _from_inside(lobes, k, j, film, cosine):
+    """(reflected rgb, transmitted rgb) of glass seen from inside, where the tables of albedo know no total reflection.
+
+    The mean over facets that lean as a rough surface's do, so that no side is 0 to which one of them may send light.
+    """
+    rough = mean_roughness(lobes, k, j)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    r, g = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in range(LEANS):
+        lean = rough * LEAN * (2.0 * i / (LEANS - 1) - 1.0)
+        c = min(max((cosine + lean * sine) / math.sqrt(1.0 + lean * lean), 1e-4), 1.0)
+        a, b, _ = fresnel(lobes.kind[k, j], lobes.data, k, j, film, c)
+        r, g = (r[0] + a[0], r[1] + a[1], r[2] + a[2]), (g[0] + b[0], g[1] + b[1], g[2] + b[2])
+    n = 1.0 / LEANS
+    return (n * r[0], n * r[1], n * r[2]), (n * g[0], n * g[1], n * g[2])
 
 
 @device
@@ -59,7 +80,10 @@ def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
     reflected, transmitted = (1.0, 1.0, 1.0), zero
     if base != ASHIKHMIN_SHIRLEY:
         cosine = dot(load3(lobes.data, k, j, NORMAL), incoming)
-        reflected, transmitted = albedo(kind, lobes.data, k, j, tables_of_albedo, cosine)
+        if base == GLASS and lobes.data[k, j, IOR] < 1.0:
+            reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo.film, cosine)
+        else:
+            reflected, transmitted = albedo(kind, lobes.data, k, j, tables_of_albedo, cosine)
         share = single_scattering(kind, lobes.data, k, j, tables_of_albedo, cosine)
     w = (w[0] * share * t[0], w[1] * share * t[1], w[2] * share * t[2])
     r, g = zero, zero
@@ -68,6 +92,15 @@ def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
     if base == REFRACTION or base == GLASS:
         g = (w[0] * transmitted[0], w[1] * transmitted[1], w[2] * transmitted[2])
     return r, g
+
+
+@device
+def _all_singular(lobes, k):
+    """Whether all lobes of point k are sharp: mirrors and clear glass."""
+    for j in range(np.int64(lobes.count[k])):
+        if not lobes.kind[k, j] & SINGULAR_LOBE:
+            return False
+    return True
 
 
 @device
@@ -112,15 +145,16 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, limit, glinting, shares, first_share, passed):  # fmt: skip
+                  record, integrated, small, limit, glinting, many, shares, first_share, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
-    At the first surface every lobe goes on, while there is room; behind it one of them, by chance. Straight
-    transparency is a path without a cone of its own: the ray goes on. integrated (N, L) bool: lobes whose cones
-    find all that shines on them, without chance. small (N,) bool: points that weigh too little to be worth cones.
-    limit: roughness above which lobes take rays; glinting: throughput below which lobes behind first surfaces look for
-    lamps. shares: what rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not
-    at all). passed (2, L, 3) float64 to work in.
+    At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
+    path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
+    integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
+    that weigh too little to be worth cones. limit: roughness above which lobes take rays; glinting: throughput below
+    which lobes behind first surfaces look for lamps; many: those of first surfaces do, too. shares: what rays of the
+    first surfaces' lobes find is shared by these rows, from first_share on (none: not at all). passed (2, L, 3)
+    float64 to work in.
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
@@ -148,8 +182,9 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
         if not total > 0.0:
             continue
-        chosen = bounce > 0 or total < SPLIT or crowded
-        glints = bounce > 0 and _largest(t) < glinting
+        divides = bounce == 0 or (_largest(t) >= CLEAR and _all_singular(lobes, np.int64(k)))
+        chosen = total < SPLIT or crowded or not divides
+        glints = (bounce > 0 or many) and _largest(t) < glinting
         strong = STRONG if bounce == 0 else 1.0
         slot = paths.slot[k]
         target = chance = 0.0
@@ -196,7 +231,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 m = _refract(
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
-                    small[k], rough, ray,
+                    glints and bounce > 0, small[k], rough, ray,
                 )  # fmt: skip
         if chosen and m == first + 1 and not _survives(out, first, chance):
             m = first
@@ -242,7 +277,7 @@ def _reflect(
             wide *= REST / CORE
         go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
-        if glints and singular == 0:
+        if glints and singular == 0 and not integrated:
             out.flags[m] |= SEES_LAMPS
         if singular == 0 and not integrated:
             out.bsdf_pdf[m] = BY_LOBE
@@ -260,7 +295,7 @@ def _reflect(
 
 @device
 def _refract(
-    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, small, rough, ray
+    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, small, rough, ray
 ):
     """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`."""
     kind = lobes.kind[k, j]
@@ -275,6 +310,8 @@ def _refract(
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
                      RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
+            if glints and rough < NARROW:
+                out.flags[m] |= SEES_LAMPS
             m += 1
         return m
     square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
@@ -284,6 +321,8 @@ def _refract(
     d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
     go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
+    if glints and rough < NARROW:
+        out.flags[m] |= SEES_LAMPS
     out.state.spread[m] = paths.state.spread[k]
     wide = 0.0 if singular else WIDE * bend
     open_cone(record.cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])

@@ -109,8 +109,6 @@ class EdgePaths(FragmentPaths):
             self.pixel, space.used.shape, self.open_light, got, f.count[self.first : self.first + n], np.int64(n),
             self.low, self.high, edge,
         )  # fmt: skip
-        entry = f.entry[self.first : self.first + n]
-        edge &= space.scratch.entries.surfel[entry] < 0
         rows = np.flatnonzero(edge)
         if not len(rows):
             return

@@ -1,0 +1,84 @@
+"""Lamps in the cones of strong lobes: each sub-ray that meets a lamp before anything else brings its radiance.
+
+The lobe weighs the sub-rays, so that highlights of lamps have no noise, however narrow they are: light samples of a
+lamp hardly ever fall into a narrow lobe (they leave it to its cone: lobe_shares.share_with_lobes).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.multires.lobe_view import LobeCones
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.raytracing.lamps import intersect_lamp, lamp_pdf_scale
+from pointmr_engine.raytracing.paths import Paths
+
+
+@device
+def finds_lamps(paths: Paths, lobes: LobeCones, m):
+    """Whether cone m is one of a reflection that light samples leave all that shines (scatter_lobes: integrated)."""
+    n = lobes.normal
+    reflects = n[m, 0] != 0 or n[m, 1] != 0 or n[m, 2] != 0
+    return lobes.alpha[m] > 0 and reflects and paths.bsdf_pdf[m] == math.inf
+
+
+@uncounted
+def stop_sub_rays(fragments, count, begin):
+    """begin (N + 1,) int64: the first of the fragments 0..count of each cone, which are in the order of the cones."""
+    begin[:] = 0
+    for r in range(count):
+        begin[fragments.cone[r] + 1] += 1
+    for k in range(len(begin) - 1):
+        begin[k + 1] += begin[k]
+
+
+@device
+def _stopped(fragments, first, end, b):
+    """Where, along the cone's axis, sub-ray b meets one of the fragments first..end."""
+    for r in range(first, end):
+        if (fragments.mask[r] >> np.uint64(b)) & np.uint64(1):
+            return 0.5 * (fragments.depth[r, 0] + fragments.depth[r, 1])
+    return math.inf
+
+
+@device
+def _add_sub_ray(lamps, met, lobes, k, b, stop, transmissive, out):
+    """Add to row k of out what sub-ray b of cone k brings of lamps that it meets within `stop` of its axis."""
+    c = lobes.cones
+    u, v = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[k, 0], (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[k, 1]
+    dx = c.axes[k, 2, 0] + u * c.axes[k, 0, 0] + v * c.axes[k, 1, 0]
+    dy = c.axes[k, 2, 1] + u * c.axes[k, 0, 1] + v * c.axes[k, 1, 1]
+    dz = c.axes[k, 2, 2] + u * c.axes[k, 0, 2] + v * c.axes[k, 1, 2]
+    stretch = math.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx / stretch, dy / stretch, dz / stretch
+    x, y, z = c.origin[k, 0], c.origin[k, 1], c.origin[k, 2]
+    nx, ny, nz = np.float64(lobes.normal[k, 0]), np.float64(lobes.normal[k, 1]), np.float64(lobes.normal[k, 2])
+    for i in range(len(met)):
+        lamp = np.int64(met[i])
+        if not (lamps.mis[lamp] and lamps.visibility[lamp] & c.visibility[k]):
+            continue
+        t = intersect_lamp(lamps, lamp, x, y, z, dx, dy, dz)
+        if not t > 0.0 or (t >= stop * stretch and stop < math.inf):
+            continue
+        _, scale = lamp_pdf_scale(lamps, lamp, x, y, z, nx, ny, nz, transmissive, dx, dy, dz, t)
+        scale *= lobes.weights[k, b]
+        for a in range(3):
+            out[k, a] += lamps.radiance[lamp, a] * scale
+
+
+@uncounted
+def lamps_in_cones(lamps, met, paths: Paths, lobes: LobeCones, fragments, begin, n, out):
+    """out (N, 3) float32: radiance of lamps that the cones 0..n see, where they are to find it; 0 elsewhere.
+
+    met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see stop_sub_rays.
+    """
+    for k in range(n):
+        out[k, 0] = out[k, 1] = out[k, 2] = 0
+        if not finds_lamps(paths, lobes, k):
+            continue
+        for b in range(64):
+            if lobes.weights[k, b] > 0:
+                stop = _stopped(fragments, begin[k], begin[k + 1], b)
+                _add_sub_ray(lamps, met, lobes, np.int64(k), np.int64(b), stop, paths.origin_transmissive[k], out)
