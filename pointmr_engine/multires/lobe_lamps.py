@@ -1,7 +1,8 @@
 """Lamps in the cones of strong lobes: each sub-ray that meets a lamp before anything else brings its radiance.
 
-The lobe weighs the sub-rays, so that highlights of lamps have no noise, however narrow they are: light samples of a
-lamp hardly ever fall into a narrow lobe (they leave it to its cone: lobe_shares.share_with_lobes).
+The lobe weighs the sub-rays, so that highlights of lamps have little noise, however narrow they are: light samples of a
+lamp hardly ever fall into a narrow lobe. What they find better, in the lobe's tails, is theirs (power heuristic; Veach
+1997): lobe_shares.share_with_lobes has the other half.
 """
 
 from __future__ import annotations
@@ -10,15 +11,17 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.lobe_view import LobeCones
+from pointmr_engine.multires.lobe_shares import OF_CONE
+from pointmr_engine.multires.lobe_view import LobeCones, pdf_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import intersect_lamp, lamp_pdf_scale
+from pointmr_engine.raytracing.light_tree import light_probability
 from pointmr_engine.raytracing.paths import Paths
 
 
 @device
 def finds_lamps(paths: Paths, lobes: LobeCones, m):
-    """Whether cone m is one of a reflection that light samples leave all that shines (scatter_lobes: integrated)."""
+    """Whether cone m is one of a reflection that finds what shines (scatter_lobes: integrated)."""
     n = lobes.normal
     reflects = n[m, 0] != 0 or n[m, 1] != 0 or n[m, 2] != 0
     return lobes.alpha[m] > 0 and reflects and paths.bsdf_pdf[m] == math.inf
@@ -44,10 +47,25 @@ def _stopped(fragments, first, end, b):
 
 
 @device
-def _add_sub_ray(lamps, met, lobes, k, b, stop, transmissive, out):
+def _slopes(lobes, k, b):
+    """Slopes of sub-ray b of cone k; what is left of a cell whose middle the lobe's core covers is met beside it."""
+    wide, high = np.float64(lobes.cones.spread[k, 0]), np.float64(lobes.cones.spread[k, 1])
+    u, v = (((b & 7) + 0.5) * 0.25 - 1.0) * wide, (((b >> 3) + 0.5) * 0.25 - 1.0) * high
+    if lobes.part[k] == 2:
+        core_u, core_v = np.float64(lobes.cones.spread[k - 1, 0]), np.float64(lobes.cones.spread[k - 1, 1])
+        if abs(u) < core_u and abs(v) < core_v:
+            if (b ^ (b >> 3) ^ k) & 1:
+                u = math.copysign(0.5 * (abs(u) + 0.125 * wide + core_u), u)
+            else:
+                v = math.copysign(0.5 * (abs(v) + 0.125 * high + core_v), v)
+    return u, v
+
+
+@device
+def _add_sub_ray(lamps, tree, met, lobes, k, b, stop, transmissive, out):
     """Add to row k of out what sub-ray b of cone k brings of lamps that it meets within `stop` of its axis."""
     c = lobes.cones
-    u, v = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[k, 0], (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[k, 1]
+    u, v = _slopes(lobes, k, b)
     dx = c.axes[k, 2, 0] + u * c.axes[k, 0, 0] + v * c.axes[k, 1, 0]
     dy = c.axes[k, 2, 1] + u * c.axes[k, 0, 1] + v * c.axes[k, 1, 1]
     dz = c.axes[k, 2, 2] + u * c.axes[k, 0, 2] + v * c.axes[k, 1, 2]
@@ -62,17 +80,22 @@ def _add_sub_ray(lamps, met, lobes, k, b, stop, transmissive, out):
         t = intersect_lamp(lamps, lamp, x, y, z, dx, dy, dz)
         if not t > 0.0 or (t >= stop * stretch and stop < math.inf):
             continue
-        _, scale = lamp_pdf_scale(lamps, lamp, x, y, z, nx, ny, nz, transmissive, dx, dy, dz, t)
-        scale *= lobes.weights[k, b]
+        pdf, scale = lamp_pdf_scale(lamps, lamp, x, y, z, nx, ny, nz, transmissive, dx, dy, dz, t)
+        pdf *= light_probability(tree, tree.leaf_of_lamp[lamp], x, y, z, nx, ny, nz, transmissive)
+        own = OF_CONE * pdf_of(lobes, k, np.float64(lobes.alpha[k]), (dx, dy, dz))
+        if not own > 0.0:
+            continue
+        ratio = pdf / own
+        scale *= lobes.weights[k, b] / (1.0 + ratio * ratio)
         for a in range(3):
             out[k, a] += lamps.radiance[lamp, a] * scale
 
 
 @uncounted
-def lamps_in_cones(lamps, met, paths: Paths, lobes: LobeCones, fragments, begin, n, out):
+def lamps_in_cones(lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, out):
     """out (N, 3) float32: radiance of lamps that the cones 0..n see, where they are to find it; 0 elsewhere.
 
-    met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see stop_sub_rays.
+    tree: LightTree; met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see stop_sub_rays.
     """
     for k in range(n):
         out[k, 0] = out[k, 1] = out[k, 2] = 0
@@ -81,4 +104,6 @@ def lamps_in_cones(lamps, met, paths: Paths, lobes: LobeCones, fragments, begin,
         for b in range(64):
             if lobes.weights[k, b] > 0:
                 stop = _stopped(fragments, begin[k], begin[k + 1], b)
-                _add_sub_ray(lamps, met, lobes, np.int64(k), np.int64(b), stop, paths.origin_transmissive[k], out)
+                _add_sub_ray(
+                    lamps, tree, met, lobes, np.int64(k), np.int64(b), stop, paths.origin_transmissive[k], out
+                )

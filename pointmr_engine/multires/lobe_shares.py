@@ -25,6 +25,7 @@ from pointmr_engine.shading.bsdf.layout import (
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
 NARROW = 0.3  # roughness (GGX alpha) of refractions below which lamps behind first surfaces are left to rays
+OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks for lamps
 
 
 @device
@@ -66,11 +67,11 @@ def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, b
                 elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
                     narrow = behind and mean_roughness(lobes, k, np.int64(j)) < NARROW
                     share = 1.0 if lamp and not narrow else 0.0
-                elif integrated[k, j]:
+                elif integrated[k, j] and not lamp:
                     share = 0.0
                 elif pdf[i] > 0.0:
                     rough = mean_roughness(lobes, k, np.int64(j))
-                    ratio = lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
+                    ratio = (OF_CONE if integrated[k, j] else 1.0) * lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
                     share = 1.0 / (1.0 + ratio * ratio)
             for c in range(3):
                 kept[i, j, c] = lobes.data[k, j, WEIGHT + c]

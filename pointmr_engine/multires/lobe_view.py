@@ -15,6 +15,7 @@ from pointmr_engine.multires.cones import Cones
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
+from pointmr_engine.shading.bsdf.vector import row3
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 
 STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
@@ -82,16 +83,14 @@ def lobe_pdf(alpha2, normal, incoming, direction):
 
 
 @device
-def _pdf_of(lobes: LobeCones, k, alpha, direction, i):
-    """lobe_pdf of cone k's lobe, of roughness alpha, towards row i of direction; inf where it transmits or is sharp."""
+def pdf_of(lobes: LobeCones, k, alpha, direction):
+    """lobe_pdf of cone k's lobe, of roughness alpha, in a direction; inf where it transmits or is sharp."""
     n, w = lobes.normal, lobes.incoming
     nx, ny, nz = np.float64(n[k, 0]), np.float64(n[k, 1]), np.float64(n[k, 2])
     if not alpha > 0.0 or nx * nx + ny * ny + nz * nz == 0.0:
         return math.inf
     incoming = (np.float64(w[k, 0]), np.float64(w[k, 1]), np.float64(w[k, 2]))
-    return lobe_pdf(
-        alpha * alpha, (nx, ny, nz), incoming, (direction[i, 0], direction[i, 1], direction[i, 2])
-    )
+    return lobe_pdf(alpha * alpha, (nx, ny, nz), incoming, direction)
 
 
 @device
@@ -179,7 +178,7 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
             d = c.axes[m, 2, a] + u * c.axes[m, 0, a] + v * c.axes[m, 1, a]
             paths.rays.direction[m, a] = d * inverse
         if paths.bsdf_pdf[m] == BY_LOBE:
-            paths.bsdf_pdf[m] = _pdf_of(lobes, m, np.float64(lobes.alpha[m]), paths.rays.direction, m)
+            paths.bsdf_pdf[m] = pdf_of(lobes, m, np.float64(lobes.alpha[m]), row3(paths.rays.direction, m))
         lobes.rough[m] = lobes.alpha[m]
         lobes.alpha[m] = WITHIN_LOBE
 
@@ -249,7 +248,7 @@ def follow_cones(
         weight, _, _, _ = _look(lobes, k, fragments.mask[r])
         copy_path(paths, k, weight, out, np.int64(r))
         if paths.bsdf_pdf[k] == BY_LOBE:
-            out.bsdf_pdf[r] = _pdf_of(lobes, k, np.float64(lobes.alpha[k]), out.rays.direction, np.int64(r))
+            out.bsdf_pdf[r] = pdf_of(lobes, k, np.float64(lobes.alpha[k]), row3(out.rays.direction, r))
         out.rays.visibility[r] = paths.rays.visibility[k]
         share = math.sqrt(min(weight, 1.0))
         a = max(np.float64(lobes.alpha[k]), 0.0)
