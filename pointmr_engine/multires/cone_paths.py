@@ -242,7 +242,15 @@ class ConePaths(SharingPaths):
         begin, seen = np.empty(n + 1, np.int64), np.empty((n, 3), np.float32)
         stop_sub_rays(fragments, np.int64(count), begin)
         lamps_in_cones(
-            arrays.lamps, arrays.tree, arrays.met_lamps, now, self.lobe_cones, fragments, begin, np.int64(n), seen
+            arrays.lamps,
+            arrays.tree,
+            arrays.met_lamps,
+            now,
+            self.lobe_cones,
+            fragments,
+            begin,
+            np.int64(n),
+            seen,
         )
         paths.add_radiance(now, self.samples, self.stage.limits, seen, self.ones[:n], n)
 

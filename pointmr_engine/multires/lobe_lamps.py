@@ -72,7 +72,11 @@ def _add_sub_ray(lamps, tree, met, lobes, k, b, stop, transmissive, out):
     stretch = math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx / stretch, dy / stretch, dz / stretch
     x, y, z = c.origin[k, 0], c.origin[k, 1], c.origin[k, 2]
-    nx, ny, nz = np.float64(lobes.normal[k, 0]), np.float64(lobes.normal[k, 1]), np.float64(lobes.normal[k, 2])
+    nx, ny, nz = (
+        np.float64(lobes.normal[k, 0]),
+        np.float64(lobes.normal[k, 1]),
+        np.float64(lobes.normal[k, 2]),
+    )
     for i in range(len(met)):
         lamp = np.int64(met[i])
         if not (lamps.mis[lamp] and lamps.visibility[lamp] & c.visibility[k]):

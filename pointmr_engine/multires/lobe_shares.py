@@ -43,7 +43,9 @@ def _is_shared(samples, i, glints):
 
 
 @uncounted
-def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, behind, integrated, count, kept):
+def share_with_lobes(
+    lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, behind, integrated, count, kept
+):
     """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
 
     Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
@@ -71,7 +73,11 @@ def share_with_lobes(lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, b
                     share = 0.0
                 elif pdf[i] > 0.0:
                     rough = mean_roughness(lobes, k, np.int64(j))
-                    ratio = (OF_CONE if integrated[k, j] else 1.0) * lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
+                    ratio = (
+                        (OF_CONE if integrated[k, j] else 1.0)
+                        * lobe_pdf(rough * rough, normal, wi, w)
+                        / pdf[i]
+                    )
                     share = 1.0 / (1.0 + ratio * ratio)
             for c in range(3):
                 kept[i, j, c] = lobes.data[k, j, WEIGHT + c]

@@ -1,0 +1,142 @@
+"""Method "raytrace" where light meets what is sharp: clear glass, curved mirrors, and highlights of lamps in them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.forward.scenes import look
+from pointmr_engine import (
+    Camera,
+    Group,
+    Instances,
+    Light,
+    Material,
+    Mesh,
+    RenderSettings,
+    Scene,
+    principled,
+    render,
+    uniform_world,
+)
+from pointmr_engine.render import Cache
+from pointmr_engine.scene.graph import Graph, Link, Node
+from tests.engine.instanced import sphere
+from tests.engine.small_scenes import quad
+from tests.engine.test_raytrace_light import DARK, card, image
+
+GLASS = principled("glass", base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission_weight=1.0, ior=1.5)
+CHROME = principled("chrome", base_color=(0.5, 0.5, 0.5), roughness=0.0, metallic=1.0)
+CAMERA = Camera(look((0, -6, 2), (0, 0, -0.2)))
+BALL, FLOOR = (
+    np.s_[..., 12:26, 16:32, :],
+    np.s_[..., 2:10, :, :],
+)  # where CAMERA sees them in images of 48 x 36
+
+
+def ball(material) -> Mesh:
+    """A sphere with smooth normals about the origin."""
+    positions, triangles = sphere(48, 96)
+    return Mesh("ball", positions, triangles, normals=positions.astype(np.float32), materials=(material,))
+
+
+def lamps(count: int) -> list[Light]:
+    """Square lamps in a ring above the scene: of more than two, rays look for one of many."""
+    angles = np.linspace(0.3, 5.0, count)
+    places = [(2.0 * math.cos(a), 1.0 + 2.0 * math.sin(a), 2.5) for a in angles]
+    return [Light("AREA", look(p, (0, 0, 0)), shape="SQUARE", size_x=0.8, power=200.0) for p in places]
+
+
+def floor(**values) -> Mesh:
+    return quad(12.0, -1.05, principled("floor", base_color=(0.7, 0.7, 0.7), **values), "floor")
+
+
+def exact_and_ours(scene: Scene, seeds: int) -> tuple[np.ndarray, np.ndarray]:
+    """(image of many random rays, images (seeds, ...) by cones)."""
+    cache = Cache()
+    exact = np.mean([image(scene, cache, method="distributed", samples=512, seed=s) for s in range(4)], 0)
+    return exact, np.array([image(scene, cache, seed=s) for s in range(seeds)])
+
+
+def test_clear_glass_is_as_bright_as_what_is_about_it():
+    """In a world that shines evenly it cannot be seen; at its rim, light leaves by way of total reflection inside."""
+    scene = Scene(Group("root", [ball(GLASS)]), CAMERA, [], uniform_world((1.0, 1.0, 1.0)))
+    ours = np.sort(np.mean([image(scene, Cache(), seed=s) for s in range(8)], 0).mean(-1).ravel())
+    assert ours.mean() == pytest.approx(1.0, abs=2e-3)
+    assert ours[1:13].mean() > 0.94  # of the rim
+
+
+def test_curved_mirrors_show_one_of_many_lamps():
+    exact, ours = exact_and_ours(Scene(Group("root", [ball(CHROME)]), CAMERA, lamps(5), DARK), 6)
+    assert ours[BALL].mean() == pytest.approx(exact[BALL].mean(), rel=0.06)
+
+
+@pytest.mark.parametrize("count", [2, 5])
+@pytest.mark.parametrize("material", [GLASS, CHROME], ids=["glass", "chrome"])
+def test_metal_beside_what_is_sharp_keeps_its_highlights(count, material):
+    scene = Scene(
+        Group("root", [ball(material), floor(roughness=0.25, metallic=1.0)]), CAMERA, lamps(count), DARK
+    )
+    exact, ours = exact_and_ours(scene, 6)
+    assert ours[FLOOR].mean() == pytest.approx(exact[FLOOR].mean(), rel=0.08)
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.25])
+def test_highlights_of_metal_are_right_and_have_little_noise(roughness):
+    """Narrow lobes, which light samples hardly ever meet, and the tails of wide ones, which cones leave out."""
+    scene = Scene(Group("root", [floor(roughness=roughness, metallic=1.0)]), CAMERA, lamps(5), DARK)
+    exact, ours = exact_and_ours(scene, 4)
+    shown = slice(2, 15)
+    assert ours[:, shown].mean() == pytest.approx(exact[shown].mean(), rel=0.07)
+    assert ours[:, shown].std(0).mean() < 0.12 * exact[shown].mean()
+
+
+def test_reflections_at_the_back_of_a_pane_have_no_noise():
+    """A lamp of which each face of the pane shows a few per cent: paths go on both ways."""
+    corners = [(-3, 0, -1), (3, 0, -1), (3, 0, 3), (-3, 0, 3)]
+    front = card("front", corners, GLASS)
+    back = card("back", [(x, 0.2, z) for x, _, z in reversed(corners)], GLASS)
+    lamp = Light("AREA", look((0, -6.2, 2), (0, 0, 1)), shape="SQUARE", size_x=1.5, power=300.0)
+    others = [Light("AREA", look((x, 4, 3), (x, 8, 3)), power=1.0) for x in (-1.0, 0.0, 1.0)]
+    scene = Scene(Group("root", [front, back]), Camera(look((0, -6, 1), (0, 0, 1))), [lamp, *others], DARK)
+    exact, ours = exact_and_ours(scene, 4)
+    bright = exact.mean(-1) > 0.5 * exact.mean(-1).max()
+    assert bright.sum() > 20
+    assert ours[:, bright].mean() == pytest.approx(exact[bright].mean(), rel=0.02)
+    assert ours[:, bright].std(0).mean() < 0.1 * exact[bright].mean()
+
+
+def test_glass_that_lets_shadow_rays_through_throws_a_light_shadow():
+    """As Blender's users build it; a wide lamp's cone asks what shadow rays would meet."""
+    nodes = {
+        "p": Node("light_path"),
+        "t": Node("transparent", {"color": (0.9, 0.9, 0.9)}),
+        "g": Node(
+            "principled", {"base_color": (1.0, 1.0, 1.0), "roughness": 0.0, "transmission_weight": 1.0}
+        ),
+        "mix": Node(
+            "mix_shader",
+            {"fac": Link("p", "is_shadow_ray"), "shader": Link("g", "bsdf"), "shader_b": Link("t", "bsdf")},
+        ),
+    }
+    clear = Material("pane", Graph(nodes, surface=Link("mix", "shader")))
+    pane = card("pane", [(-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)], clear)
+    white = principled("floor", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0)
+    lamp = Light("AREA", look((0, 0, 4), (0, 0, 0)), shape="SQUARE", size_x=1.0, power=200.0)
+    camera = Camera(look((0, -5, 0.6), (0, 0, 0)))
+    exact, ours = exact_and_ours(Scene(Group("root", [quad(8.0, 0.0, white), pane]), camera, [lamp], DARK), 2)
+    below = np.s_[..., 15:18, 20:28, :]
+    assert ours[below].mean() == pytest.approx(exact[below].mean(), rel=0.05)
+
+
+def test_shadows_edges_are_found_on_surfels():
+    """Balls so far away that they are samples alone, which a low sun lights from the side."""
+    rows = [(x, y) for x in np.linspace(-40, 40, 30) for y in np.linspace(-40, 40, 30)]
+    places = np.zeros((len(rows), 3, 4))
+    places[:, :, :3], places[:, :2, 3] = np.eye(3), rows
+    grey = principled("grey", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0)
+    root = Group("root", instances=[Instances((Group("ball", [ball(grey)]),), transforms=places)])
+    sun = Light("SUN", look((-5, 0, 1), (0, 0, 0)), power=3.0, angle=0.0)
+    scene = Scene(root, Camera(look((0, -110, 40), (0, 0, 0)), clip_end=2000.0), [sun], DARK)
+    found = render(scene, RenderSettings(48, 36, method="raytrace")).stats["counters"]
+    assert found["surfels"] > 1000 and found["triangles"] == 0 and found["edge_rays"] > 100
