@@ -91,6 +91,23 @@ class SharedLight:
                 count_blocked(shadows.source, hits.triangle, hits.t, self.lamp_width, n, at, shares)
             take_reflected(shadows.light, part, shadows.source, hits.triangle, n, at, shares)
 
+    def received_of_lamps(self, first: int, n: int) -> np.ndarray:
+        """(n,) sums of channels of what a batch's fragments share of lamps, before lobes' rays bring more."""
+        own = slice(first, first + n)
+        return sum(
+            (s.light[own].sum(1, np.float64) for s in (self.lamps, self.lobes) if len(s.rays)), np.zeros(n)
+        )
+
+    def scale_lamps(self, part: np.ndarray, first: int) -> None:
+        """Scale what a batch's fragments have of lamps by part (n,): more rays than planned have brought it.
+
+        They are not worth more to their neighbours for it: who asks more hangs on what these have found.
+        """
+        own = slice(first, first + len(part))
+        for shares in (self.lamps, self.lobes):
+            if len(shares.rays):
+                shares.light[own] *= part[:, None].astype(np.float32)
+
     def separate(self, samples, slots: np.ndarray, shared: np.ndarray, base: int, count: int) -> None:
         """Paths with slots (n,) that are `shared` (n,) bool get samples of their own, copies of base..base + count."""
         own, copies = slice(base, base + count), slice(self.room + base, self.room + base + count)

@@ -25,7 +25,8 @@ class SharingPaths(EdgePaths):
         self.asks, self.begins = None, False  # lights that first surfaces ask for now; whether rays begin
         if light.shares_lobes:
             self.every = allocate_samples(2 * room)
-        self.asked = np.zeros(room, np.int64)  # rays to the world
+        self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
+        self.looked, self.unlit = 0, None  # turns to one of many lights so far, and radiance before them
         self.world_light = None  # (N,) float64 of fragments without what hides it, while it is asked
 
     def start_tile(self, space) -> None:
@@ -44,37 +45,72 @@ class SharingPaths(EdgePaths):
             self.shared_light.take_lobes(self.every, first, base, count)
 
     def _look_at_light(self, now, m: int, turn) -> None:
-        if turn != (WORLD, 0):
-            if turn is None and self.small is not None:
-                self.asks, self.begins = LAMP, True
-            super()._look_at_light(now, m, turn)
-            self.asks = None
-            return
-        lit = self.lit_rows, self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u
-        kept = [a[:m].copy() for a in lit]
-        if self.small is None:  # behind first surfaces
-            self.asked[:] = self.light.world_rays
-            self._look_at_world(now, lit, kept, self.asked[kept[0]])
+        if turn == (WORLD, 0):
+            lit = self.lit_rows, self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u
+            kept = [a[:m].copy() for a in lit]
+            if self.small is None:  # behind first surfaces
+                self.asked[:] = self.light.world_rays
+                self._look_at_world(now, lit, kept, self.asked[kept[0]])
+            else:
+                self._look_as_worth(now, lit, kept)
+            for now_, then in zip(lit, kept, strict=True):
+                now_[:m] = then
+        elif turn is None and self.small is not None:
+            self._look_at_many(now, m)
         else:
-            self._look_as_worth(now, lit, kept)
-        for now_, then in zip(lit, kept, strict=True):
-            now_[:m] = then
+            super()._look_at_light(now, m, turn)
+
+    def _look_at_many(self, now, m: int) -> None:
+        """One ray of each point to one of many lights; with the last of them, more where they are worth it."""
+        n, radiance, asked, shared = self.count, self.samples.radiance, self.asked, self.shared_light
+        if self.looked == 0:
+            self.unlit = radiance[:n].copy()
+            self.open_light[:n] = 0.0
+        self.asks, self.begins, self.measures = LAMP, True, True
+        super()._look_at_light(now, m, None)
+        self.asks, self.measures = None, False
+        self.looked += 1
+        turns = self.stage.lights.turns.count(None)
+        if self.looked < turns:
+            return
+        self.looked = 0
+        arrived = (radiance[:n] - self.unlit).sum(1) + shared.received_of_lamps(self.first, n)
+        asked[:n] = turns
+        self._ask_as_worth(self.open_light[:n], arrived, self.unlit.sum(1))
+        lit = np.zeros(n, np.bool_)
+        lit[self.lit_rows[:m]] = True
+        # in turn, for lobes are shared with one sample of a point at a time
+        for number in range(int(asked[:n][lit].max(initial=0)) - turns):
+            some = self.choose_points(now, n, lit & (asked[:n] > turns + number), 0)
+            self.lit_u[:some] += (len(self.stage.lights.turns) + number) * NEXT
+            self.lit_u[:some] -= np.floor(self.lit_u[:some])
+            self.asks, self.begins = LAMP, True
+            super()._look_at_light(now, some, None)
+            self.asks = None
+        part = turns / asked[:n]
+        radiance[:n] = self.unlit + (radiance[:n] - self.unlit) * part[:, None]
+        shared.scale_lamps(part, self.first)
+
+    def _ask_as_worth(self, open_light, arrived, others) -> None:
+        """Raise `asked` of the batch's fragments to the rays that they are worth: see world_rays.wanted_rays."""
+        n, (rows, columns) = self.count, self.space.used.shape
+        wanted_rays(
+            self.pixel, open_light, arrived, others, self.space.fragments.count[self.first : self.first + n],
+            np.float64(self.space.image.cone**2), np.float64(self.light.worth), np.int64(n),
+            np.empty((rows, columns, SUMS)), self.asked,
+        )  # fmt: skip
 
     def _look_as_worth(self, now, lit, kept) -> None:
         """Ask the world as often as it is worth for each fragment; what arrives goes to those that share it."""
         n, radiance, asked = self.count, self.samples.radiance, self.asked
         subpixels = self.space.fragments.count[self.first : self.first + n]
-        before, whole = radiance[:n].copy(), np.float64(self.space.image.cone**2)
-        first_rays(subpixels, whole, np.int64(n), asked)
+        before = radiance[:n].copy()
+        first_rays(subpixels, np.float64(self.space.image.cone**2), np.int64(n), asked)
         self.world_light = np.zeros(n)
         self._look_at_world(now, lit, kept, asked[kept[0]])
         open_light, self.world_light = self.world_light, None
         arrived, done = (radiance[:n] - before).sum(1), asked[:n].copy()
-        rows, columns = self.space.used.shape
-        wanted_rays(
-            self.pixel, open_light, arrived, before.sum(1), subpixels, whole,
-            np.float64(self.light.worth), np.int64(n), np.empty((rows, columns, SUMS)), asked,
-        )  # fmt: skip
+        self._ask_as_worth(open_light, arrived, before.sum(1))
         radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
         self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
         self.shared_light.take_world(radiance, before, asked[:n], self.first)
