@@ -142,7 +142,7 @@ def test_render_writes_what_it_says(blend, tmp_path, capfd):
     for text in (
         "12 unique, 48 instanced",
         "peak memory",
-        "sync",
+        "together",
         str(output),
         str(output.with_suffix(".png")),
     ):
