@@ -223,7 +223,7 @@ class ConePaths(SharingPaths):
                 light.acceleration, light.prefiltered()[1], lobes.cones, self.met_fragments, met.rays, hits,
                 self.escaped, None, 0, n, merging=merging, weights=lobes.weights,
             )  # fmt: skip
-            if bounce == 1 and light.many and light.extended:
+            if bounce == 1 and light.many and len(light.lights.arrays.met_lamps):
                 self._see_lamps(now, count, n)
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
@@ -241,17 +241,11 @@ class ConePaths(SharingPaths):
         arrays, fragments = self.light.lights.arrays, self.met_fragments
         begin, seen = np.empty(n + 1, np.int64), np.empty((n, 3), np.float32)
         stop_sub_rays(fragments, np.int64(count), begin)
+        near = np.empty(len(arrays.met_lamps), np.int32)
         lamps_in_cones(
-            arrays.lamps,
-            arrays.tree,
-            arrays.met_lamps,
-            now,
-            self.lobe_cones,
-            fragments,
-            begin,
-            np.int64(n),
+            arrays.lamps, arrays.tree, arrays.met_lamps, now, self.lobe_cones, fragments, begin, np.int64(n), near,
             seen,
-        )
+        )  # fmt: skip
         paths.add_radiance(now, self.samples, self.stage.limits, seen, self.ones[:n], n)
 
     def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:

@@ -14,7 +14,19 @@ import numpy as np
 from pointmr_engine.multires.lobe_shares import OF_CONE
 from pointmr_engine.multires.lobe_view import LobeCones, pdf_of
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.raytracing.lamps import intersect_lamp, lamp_pdf_scale
+from pointmr_engine.raytracing.lamps import (
+    ELLIPSE,
+    HALF_U,
+    HALF_V,
+    PX,
+    PY,
+    PZ,
+    RADIUS,
+    RECTANGLE,
+    SUN,
+    intersect_lamp,
+    lamp_pdf_scale,
+)
 from pointmr_engine.raytracing.light_tree import light_probability
 from pointmr_engine.raytracing.paths import Paths
 
@@ -25,6 +37,24 @@ def finds_lamps(paths: Paths, lobes: LobeCones, m):
     n = lobes.normal
     reflects = n[m, 0] != 0 or n[m, 1] != 0 or n[m, 2] != 0
     return lobes.alpha[m] > 0 and reflects and paths.bsdf_pdf[m] == math.inf
+
+
+@device
+def _may_lie_in(lamps, lamp, c, k):
+    """Whether a lamp may lie in cone k: by the balls about both."""
+    row, shape = lamps.values[lamp], lamps.shape[lamp]
+    if shape == SUN:
+        return True
+    x, y, z = row[PX] - c.origin[k, 0], row[PY] - c.origin[k, 1], row[PZ] - c.origin[k, 2]
+    wide = row[RADIUS]
+    if shape == RECTANGLE or shape == ELLIPSE:
+        wide = math.sqrt(row[HALF_U] * row[HALF_U] + row[HALF_V] * row[HALF_V])
+    far = math.sqrt(x * x + y * y + z * z)
+    if not far > wide:
+        return True
+    along = (x * c.axes[k, 2, 0] + y * c.axes[k, 2, 1] + z * c.axes[k, 2, 2]) / far
+    half = math.atan(math.sqrt(c.spread[k, 0] ** 2 + c.spread[k, 1] ** 2))
+    return math.acos(min(max(along, -1.0), 1.0)) <= 1.001 * (half + math.asin(wide / far))
 
 
 @uncounted
@@ -62,8 +92,8 @@ def _slopes(lobes, k, b):
 
 
 @device
-def _add_sub_ray(lamps, tree, met, lobes, k, b, stop, transmissive, out):
-    """Add to row k of out what sub-ray b of cone k brings of lamps that it meets within `stop` of its axis."""
+def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out):
+    """Add to row k of out what sub-ray b of cone k brings of lamps near[:count] that it meets within `stop`."""
     c = lobes.cones
     u, v = _slopes(lobes, k, b)
     dx = c.axes[k, 2, 0] + u * c.axes[k, 0, 0] + v * c.axes[k, 1, 0]
@@ -77,10 +107,8 @@ def _add_sub_ray(lamps, tree, met, lobes, k, b, stop, transmissive, out):
         np.float64(lobes.normal[k, 1]),
         np.float64(lobes.normal[k, 2]),
     )
-    for i in range(len(met)):
-        lamp = np.int64(met[i])
-        if not (lamps.mis[lamp] and lamps.visibility[lamp] & c.visibility[k]):
-            continue
+    for i in range(count):
+        lamp = np.int64(near[i])
         t = intersect_lamp(lamps, lamp, x, y, z, dx, dy, dz)
         if not t > 0.0 or (t >= stop * stretch and stop < math.inf):
             continue
@@ -96,18 +124,37 @@ def _add_sub_ray(lamps, tree, met, lobes, k, b, stop, transmissive, out):
 
 
 @uncounted
-def lamps_in_cones(lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, out):
+def lamps_in_cones(lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, near, out):
     """out (N, 3) float32: radiance of lamps that the cones 0..n see, where they are to find it; 0 elsewhere.
 
-    tree: LightTree; met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see stop_sub_rays.
+    tree: LightTree; met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see stop_sub_rays;
+    near (K,) int32 to work in.
     """
     for k in range(n):
         out[k, 0] = out[k, 1] = out[k, 2] = 0
         if not finds_lamps(paths, lobes, k):
             continue
+        count = np.int64(0)
+        for i in range(len(met)):
+            lamp = np.int64(met[i])
+            shown = lamps.mis[lamp] and lamps.visibility[lamp] & lobes.cones.visibility[k]
+            if shown and _may_lie_in(lamps, lamp, lobes.cones, np.int64(k)):
+                near[count] = lamp
+                count += 1
+        if count == 0:
+            continue
         for b in range(64):
             if lobes.weights[k, b] > 0:
                 stop = _stopped(fragments, begin[k], begin[k + 1], b)
                 _add_sub_ray(
-                    lamps, tree, met, lobes, np.int64(k), np.int64(b), stop, paths.origin_transmissive[k], out
+                    lamps,
+                    tree,
+                    near,
+                    count,
+                    lobes,
+                    np.int64(k),
+                    np.int64(b),
+                    stop,
+                    paths.origin_transmissive[k],
+                    out,
                 )

@@ -22,7 +22,7 @@ from pointmr_engine import (
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.instanced import sphere
-from tests.engine.small_scenes import quad
+from tests.engine.small_scenes import at, quad
 from tests.engine.test_raytrace_light import DARK, card, image
 
 GLASS = principled("glass", base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission_weight=1.0, ior=1.5)
@@ -81,10 +81,12 @@ def test_metal_beside_what_is_sharp_keeps_its_highlights(count, material):
     assert ours[FLOOR].mean() == pytest.approx(exact[FLOOR].mean(), rel=0.08)
 
 
-@pytest.mark.parametrize("roughness", [0.15, 0.25])
-def test_highlights_of_metal_are_right_and_have_little_noise(roughness):
+@pytest.mark.parametrize(("roughness", "points"), [(0.15, 0), (0.25, 0), (0.15, 1)])
+def test_highlights_of_metal_are_right_and_have_little_noise(roughness, points):
     """Narrow lobes, which light samples hardly ever meet, and the tails of wide ones, which cones leave out."""
-    scene = Scene(Group("root", [floor(roughness=roughness, metallic=1.0)]), CAMERA, lamps(5), DARK)
+    more = [Light("POINT", at(0, 3, 1), power=5.0, radius=0.0)] * points  # of which rays meet none
+    metal = floor(roughness=roughness, metallic=1.0)
+    scene = Scene(Group("root", [metal]), CAMERA, lamps(5) + more, DARK)
     exact, ours = exact_and_ours(scene, 4)
     shown = slice(2, 15)
     assert ours[:, shown].mean() == pytest.approx(exact[shown].mean(), rel=0.07)
