@@ -14,7 +14,7 @@ from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
-from pointmr_engine.multires.curvature import spread_of_curvature
+from pointmr_engine.multires.curvature import mean_normals, spread_of_curvature
 from pointmr_engine.multires.path_pool import PathPool
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
@@ -165,9 +165,14 @@ class FragmentPaths(Workspace):
         place_values(values, f, first_, n_, hits)
         frame = self.frames
         frames(self.stage.shader.geometry, now.rays, hits, frame, 0, count)
+        entries = space.scratch.entries
+        triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
+        mean_normals(
+            self.stage.shader.geometry.tables, hits, f, first_, triangles, np.int64(len(triangles)), to_world,
+            frame.smooth_normal, np.empty((3, 3)),
+        )  # fmt: skip
         own = [a[:count].copy() for a in (frame.smooth_normal, frame.geometric_normal, frame.backfacing)]
         position = frame.position[:count].copy()
-        entries = space.scratch.entries
         surfel_frames(to_world, entries, f, first_, n_, now.rays, frame, self.flat, self.spread)
         # rays leave a real point of the piece, with what is around it: its centroid may lie inside
         frame.position[:count] = position
@@ -178,7 +183,6 @@ class FragmentPaths(Workspace):
         ):
             target[clump] = normals[clump]
         self.spread[clump], self.flat[clump] = 0.0, 1.0
-        triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
         self.coloured[:count] = False
         self.coloured[triangles] = image.coloured
         tables = self.stage.shader.geometry.tables
