@@ -15,6 +15,7 @@ from pointmr_engine.numerics.transforms import cofactors
 
 BEYOND = 3.0  # barycentric coordinates: how far outside a triangle its normals go on
 ALIKE = 0.9  # least cosine between the normal at a fragment's middle and that of its hit
+RIM = 0.45  # cosine to the viewer below which the hit's normal stays: wide lobes that graze lose light
 FLATTEST = 1e-5  # variance of slopes below which a footprint counts as flat
 
 
@@ -90,11 +91,12 @@ def _place_on(tables, p, t, m, x, y, z):
 
 
 @uncounted
-def mean_normals(tables, hits, fragments, first, rows, count, world_from_camera, normal, q):
+def mean_normals(tables, hits, fragments, first, rows, count, direction, world_from_camera, normal, q):
     """normal (N, 3) float32 at rows[0..count]: smooth normals at the middles of what is seen of fragments first + row.
 
     Fragments are merged of several triangles, of which one stands for all: its normals go on beyond its edges. Where
-    the middle lies far outside, the normal at the hit stays. q (3, 3) float64 to work in.
+    the middle lies far outside, the normal at the hit stays. direction (N, 3):
+    of the camera's rays; q (3, 3) float64 to work in.
     """
     c = world_from_camera
     for i in range(count):
@@ -128,6 +130,8 @@ def mean_normals(tables, hits, fragments, first, rows, count, world_from_camera,
         length = math.sqrt(x * x + y * y + z * z)
         inverse = 1.0 / length if length > 0.0 else 0.0
         along = inverse * (x * normal[k, 0] + y * normal[k, 1] + z * normal[k, 2])
-        if abs(along) > ALIKE:
-            inverse = inverse if along > 0.0 else -inverse
+        inverse = inverse if along > 0.0 else -inverse
+        d = direction[k]
+        facing = inverse * abs(d[0] * x + d[1] * y + d[2] * z)
+        if abs(along) > ALIKE and abs(facing) > RIM:
             normal[k, 0], normal[k, 1], normal[k, 2] = inverse * x, inverse * y, inverse * z

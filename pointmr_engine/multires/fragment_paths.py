@@ -168,8 +168,8 @@ class FragmentPaths(Workspace):
         entries = space.scratch.entries
         triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
         mean_normals(
-            self.stage.shader.geometry.tables, hits, f, first_, triangles, np.int64(len(triangles)), to_world,
-            frame.smooth_normal, np.empty((3, 3)),
+            self.stage.shader.geometry.tables, hits, f, first_, triangles, np.int64(len(triangles)),
+            now.rays.direction, to_world, frame.smooth_normal, np.empty((3, 3)),
         )  # fmt: skip
         own = [a[:count].copy() for a in (frame.smooth_normal, frame.geometric_normal, frame.backfacing)]
         position = frame.position[:count].copy()
