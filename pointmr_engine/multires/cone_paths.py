@@ -15,12 +15,12 @@ from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gathe
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, take_shares
-from pointmr_engine.multires.lobe_lamps import lamps_in_cones, stop_sub_rays
+from pointmr_engine.multires.lobe_lamps import first_fragments, lamps_in_cones
 from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, sample_widened, share_with_lobes
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
-from pointmr_engine.multires.shadow_edges import LARGE, sum_by_source
+from pointmr_engine.multires.shadow_edges import LARGE
 from pointmr_engine.multires.sharing_paths import SharingPaths
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
@@ -131,8 +131,6 @@ class ConePaths(SharingPaths):
         if self.asks == LAMP:
             self.shared_light.of_lamps(chosen, self.lit_rows[:m])
         count = super().connect(now, m, chosen)
-        if self.world_light is not None:
-            sum_by_source(self.shadows.light, self.shadows.source, np.int64(count), self.world_light)
         if shared:
             restore_lobes(self.lobes, self.lit_rows, chosen, glints, np.int64(m), self.shared)
         return count
@@ -186,11 +184,12 @@ class ConePaths(SharingPaths):
 
     def _scatter(self, now, n: int, alive, bounce: int) -> None:
         """Paths behind the surfaces, and their cones."""
+        glinting = self.glinting if bounce or self.light.many else 0.0
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self.none_small if self.small is None else self.small, self.limit, self.glinting,
-            self.light.many, self.shared_light.lobes, np.int64(self.first), self.passed,
+            self.integrated, self.none_small if self.small is None else self.small, self.limit, glinting,
+            self.shared_light.lobes, np.int64(self.first), self.passed,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
@@ -240,7 +239,7 @@ class ConePaths(SharingPaths):
         """Add the lamps that the cones of n paths see, between the `count` fragments that they meet."""
         arrays, fragments = self.light.lights.arrays, self.met_fragments
         begin, seen = np.empty(n + 1, np.int64), np.empty((n, 3), np.float32)
-        stop_sub_rays(fragments, np.int64(count), begin)
+        first_fragments(fragments, np.int64(count), begin)
         near = np.empty(len(arrays.met_lamps), np.int32)
         lamps_in_cones(
             arrays.lamps, arrays.tree, arrays.met_lamps, now, self.lobe_cones, fragments, begin, np.int64(n), near,

@@ -101,6 +101,16 @@ def jitter(x, y, z, width):
     return (h & np.uint32(0xFFFF)) / 65536.0, (h >> np.uint32(16)) / 65536.0
 
 
+@device
+def direction_of(c: Cones, m, u, v):
+    """Where cone m looks at slopes u, v of its axes; not of unit length."""
+    return (
+        c.axes[m, 2, 0] + u * c.axes[m, 0, 0] + v * c.axes[m, 1, 0],
+        c.axes[m, 2, 1] + u * c.axes[m, 0, 1] + v * c.axes[m, 1, 1],
+        c.axes[m, 2, 2] + u * c.axes[m, 0, 2] + v * c.axes[m, 1, 2],
+    )
+
+
 def sub_rays(cones: Cones, u: np.ndarray | None = None, v: np.ndarray | None = None):
     """Rays through places (K,) u, v in [-1, 1] of all cones, by default those of the 64 sub-rays in the order of bits.
 

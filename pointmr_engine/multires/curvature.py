@@ -95,8 +95,8 @@ def mean_normals(tables, hits, fragments, first, rows, count, direction, world_f
     """normal (N, 3) float32 at rows[0..count]: smooth normals at the middles of what is seen of fragments first + row.
 
     Fragments are merged of several triangles, of which one stands for all: its normals go on beyond its edges. Where
-    the middle lies far outside, the normal at the hit stays. direction (N, 3):
-    of the camera's rays; q (3, 3) float64 to work in.
+    the middle lies far outside, the normal at the hit stays. direction (N, 3): of the camera's rays; q (3, 3)
+    float64 to work in.
     """
     c = world_from_camera
     for i in range(count):
@@ -131,7 +131,6 @@ def mean_normals(tables, hits, fragments, first, rows, count, direction, world_f
         inverse = 1.0 / length if length > 0.0 else 0.0
         along = inverse * (x * normal[k, 0] + y * normal[k, 1] + z * normal[k, 2])
         inverse = inverse if along > 0.0 else -inverse
-        d = direction[k]
-        facing = inverse * abs(d[0] * x + d[1] * y + d[2] * z)
+        facing = inverse * (direction[k, 0] * x + direction[k, 1] * y + direction[k, 2] * z)
         if abs(along) > ALIKE and abs(facing) > RIM:
             normal[k, 0], normal[k, 1], normal[k, 2] = inverse * x, inverse * y, inverse * z

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.multires.cones import direction_of
 from pointmr_engine.multires.lobe_shares import OF_CONE
 from pointmr_engine.multires.lobe_view import LobeCones, pdf_of
 from pointmr_engine.numerics.jit import device, uncounted
@@ -29,6 +30,7 @@ from pointmr_engine.raytracing.lamps import (
 )
 from pointmr_engine.raytracing.light_tree import light_probability
 from pointmr_engine.raytracing.paths import Paths
+from pointmr_engine.shading.bsdf.vector import row3
 
 
 @device
@@ -58,7 +60,7 @@ def _may_lie_in(lamps, lamp, c, k):
 
 
 @uncounted
-def stop_sub_rays(fragments, count, begin):
+def first_fragments(fragments, count, begin):
     """begin (N + 1,) int64: the first of the fragments 0..count of each cone, which are in the order of the cones."""
     begin[:] = 0
     for r in range(count):
@@ -96,17 +98,11 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out)
     """Add to row k of out what sub-ray b of cone k brings of lamps near[:count] that it meets within `stop`."""
     c = lobes.cones
     u, v = _slopes(lobes, k, b)
-    dx = c.axes[k, 2, 0] + u * c.axes[k, 0, 0] + v * c.axes[k, 1, 0]
-    dy = c.axes[k, 2, 1] + u * c.axes[k, 0, 1] + v * c.axes[k, 1, 1]
-    dz = c.axes[k, 2, 2] + u * c.axes[k, 0, 2] + v * c.axes[k, 1, 2]
+    dx, dy, dz = direction_of(c, k, u, v)
     stretch = math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx / stretch, dy / stretch, dz / stretch
-    x, y, z = c.origin[k, 0], c.origin[k, 1], c.origin[k, 2]
-    nx, ny, nz = (
-        np.float64(lobes.normal[k, 0]),
-        np.float64(lobes.normal[k, 1]),
-        np.float64(lobes.normal[k, 2]),
-    )
+    x, y, z = row3(c.origin, k)
+    nx, ny, nz = row3(lobes.normal, k)
     for i in range(count):
         lamp = np.int64(near[i])
         t = intersect_lamp(lamps, lamp, x, y, z, dx, dy, dz)
@@ -127,8 +123,8 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out)
 def lamps_in_cones(lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, near, out):
     """out (N, 3) float32: radiance of lamps that the cones 0..n see, where they are to find it; 0 elsewhere.
 
-    tree: LightTree; met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see stop_sub_rays;
-    near (K,) int32 to work in.
+    tree: LightTree; met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see
+    first_fragments; near (K,) int32 to work in.
     """
     for k in range(n):
         out[k, 0] = out[k, 1] = out[k, 2] = 0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.multires.cones import Cones
+from pointmr_engine.multires.cones import Cones, direction_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
@@ -112,9 +112,8 @@ def _density(lobes: LobeCones, m, u, v, alpha2):
     if nx * nx + ny * ny + nz * nz == 0.0:
         r2 = (u * u + v * v) / (4.0 * alpha2)
         return w / ((1.0 + r2) * (1.0 + r2))
-    dx = (c.axes[m, 2, 0] + u * c.axes[m, 0, 0] + v * c.axes[m, 1, 0]) * inverse
-    dy = (c.axes[m, 2, 1] + u * c.axes[m, 0, 1] + v * c.axes[m, 1, 1]) * inverse
-    dz = (c.axes[m, 2, 2] + u * c.axes[m, 0, 2] + v * c.axes[m, 1, 2]) * inverse
+    dx, dy, dz = direction_of(c, m, u, v)
+    dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
     cosine = nx * dx + ny * dy + nz * dz
     if cosine <= 0.0 or (lobes.part[m] == 2 and _in_core(c, m - 1, dx, dy, dz)):
         return 0.0
@@ -174,9 +173,9 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
         u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
         v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
         inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)
-        for a in range(3):
-            d = c.axes[m, 2, a] + u * c.axes[m, 0, a] + v * c.axes[m, 1, a]
-            paths.rays.direction[m, a] = d * inverse
+        x, y, z = direction_of(c, m, u, v)
+        d = paths.rays.direction
+        d[m, 0], d[m, 1], d[m, 2] = x * inverse, y * inverse, z * inverse
         if paths.bsdf_pdf[m] == BY_LOBE:
             paths.bsdf_pdf[m] = pdf_of(lobes, m, np.float64(lobes.alpha[m]), row3(paths.rays.direction, m))
         lobes.rough[m] = lobes.alpha[m]
@@ -215,9 +214,7 @@ def _look(lobes: LobeCones, k, mask):
             v += w * (((b >> 3) + 0.5) * 0.25 - 1.0)
     if total > 0.0:
         u, v = u / total * c.spread[k, 0], v / total * c.spread[k, 1]
-    x = c.axes[k, 2, 0] + u * c.axes[k, 0, 0] + v * c.axes[k, 1, 0]
-    y = c.axes[k, 2, 1] + u * c.axes[k, 0, 1] + v * c.axes[k, 1, 1]
-    z = c.axes[k, 2, 2] + u * c.axes[k, 0, 2] + v * c.axes[k, 1, 2]
+    x, y, z = direction_of(c, k, u, v)
     inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
     return total, x * inverse, y * inverse, z * inverse
 

@@ -145,16 +145,15 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, limit, glinting, many, shares, first_share, passed):  # fmt: skip
+                  record, integrated, small, limit, glinting, shares, first_share, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
     path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
     integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
     that weigh too little to be worth cones. limit: roughness above which lobes take rays; glinting: throughput below
-    which lobes behind first surfaces look for lamps; many: those of first surfaces do, too. shares: what rays of the
-    first surfaces' lobes find is shared by these rows, from first_share on (none: not at all). passed (2, L, 3)
-    float64 to work in.
+    which lobes look for lamps. shares: what rays of the first surfaces' lobes find is shared by these rows, from
+    first_share on (none: not at all). passed (2, L, 3) float64 to work in.
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
@@ -184,7 +183,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             continue
         divides = bounce == 0 or (_largest(t) >= CLEAR and _all_singular(lobes, np.int64(k)))
         chosen = total < SPLIT or crowded or not divides
-        glints = (bounce > 0 or many) and _largest(t) < glinting
+        glints = _largest(t) < glinting
         strong = STRONG if bounce == 0 else 1.0
         slot = paths.slot[k]
         target = chance = 0.0

@@ -120,8 +120,7 @@ class EdgePaths(FragmentPaths):
             self._stand(rows, kept)
             self._stand_elsewhere(now, rows, look)
             some = self.choose_points(now, n, edge, 0)
-            self.lit_u[:some] += (look + 1) * NEXT_LOOK
-            self.lit_u[:some] -= np.floor(self.lit_u[:some])
+            self.shift_points(some, (look + 1) * NEXT_LOOK)
             super()._look_at_light(now, some, turn)
         self._stand(rows, kept)
         self.part = 1.0

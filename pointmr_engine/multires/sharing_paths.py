@@ -27,7 +27,6 @@ class SharingPaths(EdgePaths):
             self.every = allocate_samples(2 * room)
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
         self.looked, self.unlit = 0, None  # turns to one of many lights so far, and radiance before them
-        self.world_light = None  # (N,) float64 of fragments without what hides it, while it is asked
 
     def start_tile(self, space) -> None:
         super().start_tile(space)
@@ -66,9 +65,9 @@ class SharingPaths(EdgePaths):
         if self.looked == 0:
             self.unlit = radiance[:n].copy()
             self.open_light[:n] = 0.0
-        self.asks, self.begins, self.measures = LAMP, True, True
-        super()._look_at_light(now, m, None)
-        self.asks, self.measures = None, False
+        self.measures = True
+        self._ask_many(now, m)
+        self.measures = False
         self.looked += 1
         turns = self.stage.lights.turns.count(None)
         if self.looked < turns:
@@ -76,26 +75,29 @@ class SharingPaths(EdgePaths):
         self.looked = 0
         arrived = (radiance[:n] - self.unlit).sum(1) + shared.received_of_lamps(self.first, n)
         asked[:n] = turns
-        self._ask_as_worth(self.open_light[:n], arrived, self.unlit.sum(1))
+        self._ask_as_worth(arrived, self.unlit.sum(1))
         lit = np.zeros(n, np.bool_)
         lit[self.lit_rows[:m]] = True
         # in turn, for lobes are shared with one sample of a point at a time
         for number in range(int(asked[:n][lit].max(initial=0)) - turns):
             some = self.choose_points(now, n, lit & (asked[:n] > turns + number), 0)
-            self.lit_u[:some] += (len(self.stage.lights.turns) + number) * NEXT
-            self.lit_u[:some] -= np.floor(self.lit_u[:some])
-            self.asks, self.begins = LAMP, True
-            super()._look_at_light(now, some, None)
-            self.asks = None
+            self.shift_points(some, (len(self.stage.lights.turns) + number) * NEXT)
+            self._ask_many(now, some)
         part = turns / asked[:n]
         radiance[:n] = self.unlit + (radiance[:n] - self.unlit) * part[:, None]
         shared.scale_lamps(part, self.first)
 
-    def _ask_as_worth(self, open_light, arrived, others) -> None:
-        """Raise `asked` of the batch's fragments to the rays that they are worth: see world_rays.wanted_rays."""
+    def _ask_many(self, now, m: int) -> None:
+        """A ray of each point to one of many lights, which fragments share."""
+        self.asks, self.begins = LAMP, True
+        super()._look_at_light(now, m, None)
+        self.asks = None
+
+    def _ask_as_worth(self, arrived, others) -> None:
+        """Raise `asked` of the batch's fragments to what they are worth, by `open_light`: world_rays.wanted_rays."""
         n, (rows, columns) = self.count, self.space.used.shape
         wanted_rays(
-            self.pixel, open_light, arrived, others, self.space.fragments.count[self.first : self.first + n],
+            self.pixel, self.open_light[:n], arrived, others, self.space.fragments.count[self.first : self.first + n],
             np.float64(self.space.image.cone**2), np.float64(self.light.worth), np.int64(n),
             np.empty((rows, columns, SUMS)), self.asked,
         )  # fmt: skip
@@ -106,11 +108,11 @@ class SharingPaths(EdgePaths):
         subpixels = self.space.fragments.count[self.first : self.first + n]
         before = radiance[:n].copy()
         first_rays(subpixels, np.float64(self.space.image.cone**2), np.int64(n), asked)
-        self.world_light = np.zeros(n)
+        self.open_light[:n], self.measures = 0.0, True
         self._look_at_world(now, lit, kept, asked[kept[0]])
-        open_light, self.world_light = self.world_light, None
+        self.measures = False
         arrived, done = (radiance[:n] - before).sum(1), asked[:n].copy()
-        self._ask_as_worth(open_light, arrived, before.sum(1))
+        self._ask_as_worth(arrived, before.sum(1))
         radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
         self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
         self.shared_light.take_world(radiance, before, asked[:n], self.first)
@@ -125,9 +127,7 @@ class SharingPaths(EdgePaths):
             for target, values in zip(lit, kept, strict=True):
                 target[:total] = np.repeat(values[part], times, 0)
             number = np.arange(total) + np.repeat(self.asked[kept[0][part]] - np.cumsum(times), times)
-            u = self.lit_u[:total]
-            u += number[:, None] * NEXT
-            u -= np.floor(u)
+            self.shift_points(total, number[:, None] * NEXT)
             if self.small is not None:
                 self.asks, self.begins = WORLD, True
             super()._look_at_light(now, total, (WORLD, 0))

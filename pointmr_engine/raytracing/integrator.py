@@ -174,6 +174,12 @@ class Workspace:
             self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u,
         )  # fmt: skip
 
+    def shift_points(self, m: int, step) -> None:
+        """Move the light samples of points 0..m on by `step` in the unit cube, around its borders."""
+        u = self.lit_u[:m]
+        u += step
+        u -= np.floor(u)
+
     def sample_lights(self, m: int, turn=None) -> LightSamples:
         chosen = LightSamples(*(a[:m] for a in self.light_samples))
         self.stage.lights.sample(
@@ -332,8 +338,7 @@ class Workspace:
         m = self.choose_points(now, n, alive, bounce)
         for k, turn in enumerate(self.stage.lights.turns if m else ()):
             if k:  # each turn has its own place in the unit cube
-                self.lit_u[:m] += NEXT
-                self.lit_u[:m] -= np.floor(self.lit_u[:m])
+                self.shift_points(m, NEXT)
             self._look_at_light(now, m, turn)
 
     def _look_at_light(self, now, m: int, turn) -> None:
