@@ -21,11 +21,14 @@ NODES, OUTSIDE, HIDDEN = 0, 1, 2  # counters of a walk: boxes looked at, and of 
 
 
 class Heap(NamedTuple):
-    """Boxes to visit, the nearest at the top; what is known of each lies in a slot that is never used again."""
+    """Boxes to visit, the nearest at the top; what is known of each lies in a slot, which the next box takes over.
+
+    A walk's `sizes` (3,) int64: boxes on the heap, slots used so far, and the first free one of them, -1: none.
+    """
 
     key: np.ndarray  # (H,) float32: smallest depth
     slot: np.ndarray  # (H,) int32
-    node: np.ndarray  # (S,) int32
+    node: np.ndarray  # (S,) int32; of a free slot the next free one
     row: np.ndarray  # (S,) int32 of the transforms
     bounds: np.ndarray  # (S, 4) float32 subpixels in the tile
 
@@ -66,6 +69,28 @@ def pop(heap, size):
         heap.key[at], heap.slot[at] = heap.key[child], heap.slot[child]
         at = child
     heap.key[at], heap.slot[at] = key, slot
+
+
+@device
+def empty_heap(sizes):
+    """Begin with no box and no slot."""
+    sizes[0], sizes[1], sizes[2] = 0, 0, -1
+
+
+@device
+def nearest(heap, sizes):
+    """Take the nearest box away: its slot, whose values must be read before the next box is added."""
+    slot = np.int64(heap.slot[0])
+    pop(heap, sizes[0])
+    sizes[0] -= 1
+    return slot
+
+
+@device
+def free_slot(heap, sizes, slot):
+    """Give a slot away whose values have been read."""
+    heap.node[slot] = sizes[2]
+    sizes[2] = slot
 
 
 @device
@@ -132,7 +157,7 @@ def open_part(view, target, width, height, x0, y0, x1, y1, front, most):
 @device
 def add_box(view, octree, heap, sizes, transforms, node, row, pad, box, bounds, left, low, width, height, counters,
          target, culling):  # fmt: skip
-    """Put a node on the heap if it can be seen. sizes: of the heap, and slots used; False: no room."""
+    """Put a node on the heap if it can be seen. sizes: see Heap; False: no room."""
     box_to_camera(transforms.matrix, row, octree.box, node, box)
     counters[NODES] += 1
     if not bound_in_tile(view, box, pad, left, low, width, height, bounds):
@@ -143,8 +168,13 @@ def add_box(view, octree, heap, sizes, transforms, node, row, pad, box, bounds, 
     ):
         counters[HIDDEN] += 1
         return True
-    slot = sizes[1]
-    if slot >= len(heap.key):
+    slot = sizes[2]
+    if slot >= 0:
+        sizes[2] = heap.node[slot]
+    elif sizes[1] < len(heap.key):
+        slot = sizes[1]
+        sizes[1] += 1
+    else:
         return False
     heap.node[slot] = node
     heap.row[slot] = row
@@ -152,7 +182,6 @@ def add_box(view, octree, heap, sizes, transforms, node, row, pad, box, bounds, 
         heap.bounds[slot, k] = bounds[k]
     push(heap, sizes[0], np.float32(box[2]), np.int32(slot))
     sizes[0] += 1
-    sizes[1] += 1
     return True
 
 

@@ -15,8 +15,10 @@ import numpy as np
 from pointmr_engine.forward.box_heap import (
     HIDDEN,
     add_box,
+    empty_heap,
+    free_slot,
     is_behind,
-    pop,
+    nearest,
     stretch_of,
 )
 from pointmr_engine.forward.draw import set_constants, triangle_to_camera
@@ -143,8 +145,8 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
     root = len(octree.group_root) - 1
     if root < 0 or octree.group_root[root] < 0:
         return DONE
-    sizes = used[2:4]
-    sizes[0] = sizes[1] = 0
+    sizes = used[2:5]
+    empty_heap(sizes)
     row = used[1]
     if row >= len(placed.scale):
         return TRANSFORMS_FULL
@@ -156,12 +158,11 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
     add_box(view, octree, heap, sizes, transforms, np.int64(octree.group_root[root]), row, 0.0, box, bounds, left, low,
             width, height, counters, target, culling)  # fmt: skip
     while sizes[0] > 0:
-        slot = np.int64(heap.slot[0])
-        pop(heap, sizes[0])
-        sizes[0] -= 1
+        slot = nearest(heap, sizes)
         node, row = np.int64(heap.node[slot]), np.int64(heap.row[slot])
         x0, y0 = np.float64(heap.bounds[slot, 0]), np.float64(heap.bounds[slot, 1])
         x1, y1 = np.float64(heap.bounds[slot, 2]), np.float64(heap.bounds[slot, 3])
+        free_slot(heap, sizes, slot)
         box_to_camera(transforms.matrix, row, octree.box, node, box)
         near, far = max(box[2], view.near), box[5]
         crossing = box[2] <= view.near
@@ -210,11 +211,11 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
                     return TRANSFORMS_FULL
                 group = _enter(world, transforms, placed, row, -1 - part, which, new)
                 counters[INSTANCES] += 1
-                slots = sizes[1]
+                boxes = sizes[0]
                 if not add_box(view, octree, heap, sizes, transforms, np.int64(octree.group_root[group]), new, 0.0, box,
                                bounds, left, low, width, height, counters, target, culling):  # fmt: skip
                     return HEAP_FULL
-                if sizes[1] > slots:
+                if sizes[0] > boxes:
                     used[1] += 1
                 i += 1
                 continue

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.subpixels import View, allocate_target, clear
-from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
+from pointmr_engine.forward.walk import WAITING, Hierarchy, Scratch, walk
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     AX,
@@ -41,7 +41,6 @@ LIKELY = 0.5  # of the widest penumbra that a lamp could give: what a map's texe
 COARSEST = 1.5  # ... if they need not be larger than so many footprints
 EVEN = 0.9998  # squared length of a mean normal from which a piece counts as a plane, as triangles are
 OFFSET, OFFSET_OF_TRIANGLES = 1.0, 0.25  # footprints: how far receivers are raised above their surface
-_WAITING = COUNTERS.index("waiting")
 
 
 class ShadowMaps:
@@ -65,7 +64,7 @@ class ShadowMaps:
             self.share = np.ones((len(lamps.shape), 2 * count), np.float32)
             self.place, self.plane = np.empty((2 * count, 3)), np.empty((2 * count, 3))
             self.flat = np.empty(2 * count, np.float32)
-        before = self.scratch.counters[_WAITING]
+        before = self.scratch.counters[WAITING]
         if count:
             camera = self.image.camera
             position = fragments.position[:count]
@@ -78,7 +77,7 @@ class ShadowMaps:
                 self.share[lamp, :count] = 1.0
                 if lamps.cast_shadow[lamp]:
                     self._lamp(hierarchy, lamps, lamp, fragments, count, center, width, wanted)
-        if self.scratch.counters[_WAITING] == before:
+        if self.scratch.counters[WAITING] == before:
             return None
         missing = np.flatnonzero(wanted)
         wanted[missing] = 0

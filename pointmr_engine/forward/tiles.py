@@ -17,11 +17,10 @@ from pointmr_engine.forward.placement_values import allocate_placement_values, c
 from pointmr_engine.forward.scattered import add_empty, add_fragments, count_shown, divide
 from pointmr_engine.forward.shadow_map import ShadowMaps
 from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps
-from pointmr_engine.forward.walk import COUNTERS, Hierarchy, Scratch, walk
+from pointmr_engine.forward.walk import WAITING, Hierarchy, Scratch, walk
 from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.scene.group import CAMERA
 
-WAITING = COUNTERS.index("waiting")
 TILE = 94  # pixels; with one more on each side for the filter, and four subpixels, whole blocks
 WIDE_TILE = 190  # where a pixel has two subpixels a side, or one: the buffers stay in the second-level cache
 

@@ -16,8 +16,10 @@ from pointmr_engine.forward.box_heap import (
     HIDDEN,
     add_box,
     allocate_heap,
+    empty_heap,
+    free_slot,
+    nearest,
     open_part,
-    pop,
     stretch_of,
 )
 from pointmr_engine.forward.draw import Entries, draw_set, set_constants
@@ -41,10 +43,12 @@ HARDLY = (
     1 / 8
 )  # of a box: when no more of it can be seen, samples twice as far apart will do for moving images
 SMALL = 1.5  # cells: triangles no larger are shaded once, not in every cell
+PATIENCE = 1 << 14  # boxes whose sets are not built, until a walk ends
 DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3
 COUNTERS = (
     "nodes", "outside", "hidden", "sets", "surfels", "triangles", "instances", "waiting", "drawn",
 )  # fmt: skip
+WAITING = COUNTERS.index("waiting")
 
 
 class Hierarchy(NamedTuple):
@@ -70,7 +74,7 @@ class Scratch:
         self.transforms = allocate_transforms(1 << 12)
         self.scale = np.empty(1 << 12)
         self.counters = np.zeros(len(COUNTERS), np.int64)
-        self.used = np.zeros(4, np.int64)  # entries, transforms; while walking: heap, its slots
+        self.used = np.zeros(5, np.int64)  # entries, transforms; while walking: sizes of the heap
         self.box = np.empty(6)
         self.bounds = np.empty(4)
         self.corners = np.empty((3, 3))
@@ -108,7 +112,8 @@ def walk(
     """Draw the scene's part in a tile into scratch.target, which is empty; returns the number of entries.
 
     spacing: of samples, in subpixels, at most. bounds: x0, y0, x1, y1 of the tile in subpixels of the whole image.
-    wanted (nodes,) uint8: 1 is written where a set is needed that is not built; such nodes are not drawn.
+    wanted (nodes,) uint8: 1 is written where a set is needed that is not built; such nodes are not drawn. The walk ends
+    where too many have been met: nothing hides what lies behind them, and most of that will not be wanted.
     culling: leave out boxes that are hidden by what is drawn already. cell: subpixels per side of what is shaded by
     itself. hardly: boxes of which at most this share is open are drawn from samples twice as far apart.
     """
@@ -121,8 +126,8 @@ def walk(
             view, hierarchy, np.ascontiguousarray(camera_from_world[:3], np.float64), float(spacing),
             *(np.int64(b) for b in bounds), scratch.target, scratch.entries, scratch.heap, scratch.transforms,
             scratch.scale, scratch.box, scratch.bounds, scratch.corners, scratch.constants, scratch.lanes,
-            scratch.address, wanted, bool(culling), np.float32(SMALL * cell), np.float32(hardly),
-            scratch.used, scratch.counters,
+            scratch.address, wanted, before[WAITING] + PATIENCE, bool(culling), np.float32(SMALL * cell),
+            np.float32(hardly), scratch.used, scratch.counters,
         )  # fmt: skip
         if status == DONE:
             return int(scratch.used[0])
@@ -150,15 +155,16 @@ def _entrance(octree, matrix, row, factor, group, view, box):
 
 @uncounted
 def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, target, entries, heap, transforms,
-          scale, box, bounds, corners, constants, lanes, address, wanted, culling, small, hardly, used,
-          counters):  # fmt: skip
+          scale, box, bounds, corners, constants, lanes, address, wanted, patience, culling, small,
+          hardly, used, counters):  # fmt: skip
     octree, sets = hierarchy.octree, hierarchy.sets
     width, height = right - left, high - low
     root = len(octree.group_root) - 1
-    used[0] = used[1] = used[2] = used[3] = 0
+    sizes = used[2:5]
+    used[0] = used[1] = 0
+    empty_heap(sizes)
     if root < 0 or octree.group_root[root] < 0:
         return DONE
-    sizes = used[2:4]
     focal = max(view.scale_x, view.scale_y)
     compose_root(transforms, camera_from_world, octree, root, np.int64(0))
     scale[0] = stretch_of(transforms.matrix, np.int64(0))
@@ -168,13 +174,13 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
     top = np.int64(octree.group_root[root])
     add_box(view, octree, heap, sizes, transforms, top, np.int64(0), octree.side[top] * SPACING * scale[0],
          box, bounds, left, low, width, height, counters, target, unculled)  # fmt: skip
-    while sizes[0] > 0:
-        near, slot = np.float64(heap.key[0]), np.int64(heap.slot[0])
-        pop(heap, sizes[0])
-        sizes[0] -= 1
+    while sizes[0] > 0 and counters[WAITING] < patience:
+        near = np.float64(heap.key[0])
+        slot = nearest(heap, sizes)
         node, row = np.int64(heap.node[slot]), np.int64(heap.row[slot])
         x0, y0 = np.float64(heap.bounds[slot, 0]), np.float64(heap.bounds[slot, 1])
         x1, y1 = np.float64(heap.bounds[slot, 2]), np.float64(heap.bounds[slot, 3])
+        free_slot(heap, sizes, slot)
         apart = octree.side[node] * SPACING * scale[row]
         enough = spacing
         if culling and count > 0:
@@ -194,7 +200,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
         before = count
         if dense and first == NOT_YET:
             wanted[node] = 1
-            counters[7] += 1
+            counters[WAITING] += 1
         elif dense and first >= 0:
             n = sets.sets[node, 1]
             if count + n > len(entries.surfel):
@@ -234,7 +240,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 group = compose(transforms, row, octree, hierarchy.instances, -1 - part, which, rows)
                 counters[6] += 1
                 scale[rows] = stretch_of(transforms.matrix, rows)
-                slots = sizes[1]
+                boxes = sizes[0]
                 start = _entrance(
                     octree, transforms.matrix, rows, scale[rows] * focal / spacing, group, view, box
                 )
@@ -242,7 +248,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                             octree.side[start] * SPACING * scale[rows], box, bounds, left, low, width, height,
                             counters, target, culling):  # fmt: skip
                     return HEAP_FULL
-                if sizes[1] > slots:
+                if sizes[0] > boxes:
                     rows += 1
                 i += 1
                 continue

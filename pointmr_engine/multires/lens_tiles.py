@@ -23,9 +23,8 @@ from pointmr_engine.forward.placement_values import (
     combine_placements,
 )
 from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, thresholds
-from pointmr_engine.forward.tiles import WAITING
 from pointmr_engine.forward.transforms import grow_transforms
-from pointmr_engine.forward.walk import Scratch, walk
+from pointmr_engine.forward.walk import WAITING, Scratch, walk
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
 from pointmr_engine.multires.looks import look_through_lens
