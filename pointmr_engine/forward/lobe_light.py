@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.forward.lamps_in_lobes import hide_lobes, lamp_in_lobes
 from pointmr_engine.forward.world_light import world_irradiance, world_lobe
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import DISTANT, POINT, RECTANGLE, sample_lamp
@@ -77,6 +78,22 @@ def widen_by_normals(lobes, spread, alpha, count):
             for j in range(np.int64(lobes.count[i])):
                 alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
                 alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]
+
+
+@uncounted
+def widen_more(lobes, spread, alpha, count):
+    """Widen the microfacet lobes of points 0..count from `alpha` on, which stays, by variances of slopes (N,)."""
+    for i in range(count):
+        if spread[i] > 0.0:
+            _widen(lobes, i, alpha, 2.0 * np.float64(spread[i]))
+
+
+@uncounted
+def narrow_again(lobes, spread, alpha, count):
+    """Undo `widen_more`."""
+    for i in range(count):
+        if spread[i] > 0.0:
+            _widen(lobes, i, alpha, 0.0)
 
 
 @device
@@ -146,13 +163,22 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             if points == 1 and plane >= 1.0 and not transmissive:
                 if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
                     continue
+            seen = lamps.visibility[i]
             if solid > 0.0:
+                bits = np.int64(0)
+                if seen & GLOSSY:
+                    _widen(lobes, np.int64(k), alpha, 0.0)
+                    x, y, z, bits = lamp_in_lobes(
+                        lobes, np.int64(k), wi, lamps, np.int64(i), px, py, pz, (dx, dy, dz), solid, first + k
+                    )
+                    r, g, b = r + arrives * x, g + arrives * y, b + arrives * z
                 _widen(lobes, np.int64(k), alpha, _GLITTER * solid / (math.pi * points))
+                if bits != 0:
+                    hide_lobes(lobes, np.int64(k), bits)
                 widened = True
             elif widened:
                 _widen(lobes, np.int64(k), alpha, 0.0)
                 widened = False
-            seen = lamps.visibility[i]
             for p in range(points):
                 if points > 1:
                     u = 0.5 + apart * ((p % side + 0.5) / side - 0.5)

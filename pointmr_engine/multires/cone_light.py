@@ -56,6 +56,7 @@ class ConeLight:
         self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0
         # a mirror never shows a lamp that is a point
         self.extended = lamps > 0 and bool(arrays.lamps.mis.all())
+        self.bends = self.extended and not self.many
         of = arrays.lamps.source
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
         self._sampler, self._lock = sampler, threading.Lock()

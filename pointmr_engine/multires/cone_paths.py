@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals
+from pointmr_engine.forward.lobe_light import narrow_again, shade_lamps, widen_by_normals, widen_more
 from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
@@ -17,7 +17,13 @@ from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_lamps import first_fragments, lamps_in_cones
 from pointmr_engine.multires.lobe_rays import ROUGH
-from pointmr_engine.multires.lobe_shares import keep_lobes, restore_lobes, sample_widened, share_with_lobes
+from pointmr_engine.multires.lobe_shares import (
+    bend_mirrors,
+    keep_lobes,
+    restore_lobes,
+    sample_widened,
+    share_with_lobes,
+)
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
 from pointmr_engine.multires.shadow_edges import LARGE
@@ -25,7 +31,7 @@ from pointmr_engine.multires.sharing_paths import SharingPaths
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
-from pointmr_engine.raytracing.paths import SEES_LAMPS
+from pointmr_engine.raytracing.paths import NO_LAMPS, SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
@@ -35,6 +41,7 @@ ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of ea
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
 AROUND = 0.5
 MOST = 3  # fragments of a cone
+GAPS = np.float32(2.0)  # times the variance of a fragment's normals, added for lamps
 
 
 class ConePaths(SharingPaths):
@@ -51,7 +58,7 @@ class ConePaths(SharingPaths):
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
-        self.none_small = np.zeros(n, np.bool_)
+        self.none, self.bent = np.zeros((2, n), np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
         self.terms = np.empty((n, TERMS))
@@ -86,9 +93,14 @@ class ConePaths(SharingPaths):
 
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
         self.small = self._small(n) if bounce == 0 else None
-        self._scatter(now, n, alive, bounce)
+        bends = bounce == 0 and self.light.bends
+        if bends:
+            np.greater(self.curved[:n], 0.0, out=self.bent[:n])
+        self._scatter(now, n, alive, bounce, self.bent if bends else self.none)
         lobes, light = self.lobes, self.light
         lobes.count[:n][~alive] = 0
+        if bends:
+            bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
         keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
         if bounce:
             if light.extended:
@@ -106,6 +118,18 @@ class ConePaths(SharingPaths):
         self.small = None
         if len(light.lamps.shape) and lobes.count[:n].any():
             self._wide_lamps(now, n)
+
+    def _look_at_light(self, now, m: int, turn) -> None:
+        """As SharingPaths; a lamp of its own finds no gaps between the lobes of neighbours on a curved surface."""
+        if self.small is None or turn is None or turn[0] != LAMP:
+            super()._look_at_light(now, m, turn)
+            return
+        count, lobes = np.int64(self.count), self.lobes
+        kinds = lobes.kind[:count].copy()
+        widen_more(lobes, GAPS * self.curved[:count], self.alpha, count)
+        super()._look_at_light(now, m, turn)
+        narrow_again(lobes, self.curved, self.alpha, count)
+        lobes.kind[:count] = kinds  # mirrors are mirrors again, though they bend
 
     def sample_lights(self, m: int, turn=None):
         """Light samples: of the world and what shines, lobes see their part themselves (share_with_lobes)."""
@@ -182,13 +206,13 @@ class ConePaths(SharingPaths):
             self.masks, lamps.shape[i], self.cones, self.terms, self.both, self.rows, np.int64(m), self.share[i],
         )  # fmt: skip
 
-    def _scatter(self, now, n: int, alive, bounce: int) -> None:
-        """Paths behind the surfaces, and their cones."""
+    def _scatter(self, now, n: int, alive, bounce: int, bent) -> None:
+        """Paths behind the surfaces, and their cones. bent: see scatter_lobes."""
         glinting = self.glinting if bounce or self.light.many else 0.0
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self.none_small if self.small is None else self.small, self.limit, glinting,
+            self.integrated, self.none if self.small is None else self.small, bent, self.limit, glinting,
             self.shared_light.lobes, np.int64(self.first), self.passed,
         )  # fmt: skip
 
@@ -255,7 +279,8 @@ class ConePaths(SharingPaths):
     def pdf_of_lamps(self, now, n: int, bounce: int) -> np.ndarray:
         """Lamps are seen where nothing widens the view, or as the part that samples leave to lobes."""
         shared = np.where((now.flags[:n] & SEES_LAMPS) != 0, now.bsdf_pdf[:n], 0.0)
-        return np.where((self.lobe_alpha[:n] <= 0.0) | (bounce == 0), np.inf, shared)
+        seen = np.where((now.flags[:n] & NO_LAMPS) != 0, 0.0, np.inf)
+        return np.where((self.lobe_alpha[:n] <= 0.0) | (bounce == 0), seen, shared)
 
     def seen_world(self, now, rays, rows: np.ndarray, bit: int):
         """The world, blurred by the lobes that see it; light samples look for it at diffuse lobes alone."""

@@ -41,8 +41,10 @@ def _bend(tables, p, t, ua, va, ub, vb, scale):
 
 
 @uncounted
-def spread_of_curvature(tables, hits, width, seen, whole, rows, count, spread):
-    """spread (N,) float32 at rows[0..count]: variance of the slopes of the normals over the footprints `width`.
+def spread_of_curvature(tables, hits, width, seen, whole, rows, count, curved, spread):
+    """curved (N,) float32 at rows[0..count]: variance of the slopes of the normals over the footprints `width`.
+
+    spread (N,) float32: the same where it is worth noting.
 
     hits: of those rows; tables: PartTables; seen (N,) int32: subpixels in which each is seen, of which a footprint has
     `whole`. Triangles that are shaded flat have none.
@@ -65,8 +67,9 @@ def spread_of_curvature(tables, hits, width, seen, whole, rows, count, spread):
             bend += _bend(tables, p, t, u, v, v, 1.0 - u - v, scale) / 3.0
         variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0
         variance *= min(np.float64(seen[k]) / whole, 1.0)
+        curved[k] = min(variance, 2.0)
         if variance > FLATTEST:
-            spread[k] = min(variance, 2.0)
+            spread[k] = curved[k]
 
 
 @device

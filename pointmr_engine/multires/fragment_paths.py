@@ -111,6 +111,7 @@ class FragmentPaths(Workspace):
         n = max(room, BATCH)
         super().__init__(stage, n)
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
+        self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
         self.pixel = np.empty(n, np.int64)
         self.coloured = np.zeros(n, np.bool_)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
@@ -183,12 +184,13 @@ class FragmentPaths(Workspace):
         ):
             target[clump] = normals[clump]
         self.spread[clump], self.flat[clump] = 0.0, 1.0
+        self.curved[:count] = 0.0
         self.coloured[:count] = False
         self.coloured[triangles] = image.coloured
         tables = self.stage.shader.geometry.tables
         spread_of_curvature(
             tables, hits, now.state.width, f.count[first : first + count], np.float64(space.cell**2), triangles,
-            np.int64(len(triangles)), self.spread,
+            np.int64(len(triangles)), self.curved, self.spread,
         )  # fmt: skip
         self._look_at_clumps(space, now, first, clump)
         start_rays(now.rays, hits, self.frames, n_)

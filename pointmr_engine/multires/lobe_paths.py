@@ -10,7 +10,16 @@ from pointmr_engine.multires.cones import jitter, set_axes
 from pointmr_engine.multires.lamp_cones import NEAR
 from pointmr_engine.multires.lobe_view import WITHIN_LOBE
 from pointmr_engine.numerics.jit import device
-from pointmr_engine.raytracing.paths import BACKDROP, FINAL, LAST, SEES_LAMPS, THROUGH, copy_path, copy_ray
+from pointmr_engine.raytracing.paths import (
+    BACKDROP,
+    FINAL,
+    LAST,
+    NO_LAMPS,
+    SEES_LAMPS,
+    THROUGH,
+    copy_path,
+    copy_ray,
+)
 from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
@@ -23,7 +32,7 @@ def go_on(
 ):
     """Row m of `out` becomes the path k after one more bounce, with throughput (r, g, b)."""
     a, s = paths.state, out.state
-    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS)
+    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS | NO_LAMPS)
     s.depth[m] = a.depth[k] + 1
     s.diffuse_depth[m] = a.diffuse_depth[k]
     s.glossy_depth[m] = a.glossy_depth[k] + glossy

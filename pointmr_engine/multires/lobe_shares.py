@@ -13,11 +13,14 @@ from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
     ASHIKHMIN_SHIRLEY,
+    BECKMANN,
     GLASS,
     HAS_EVALUATION,
     KIND_MASK,
     NORMAL,
+    REFLECTION,
     REFRACTION,
+    SINGULAR_ALPHA_SQUARED,
     SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
@@ -25,6 +28,7 @@ from pointmr_engine.shading.bsdf.layout import (
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
 NARROW = 0.3  # roughness (GGX alpha) of refractions below which lamps behind first surfaces are left to rays
+BENT = 4.0  # squared roughnesses in the variance of normals up to which a lobe is a mirror that bends
 OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks for lamps
 
 
@@ -112,16 +116,40 @@ def sample_widened(lobes, throughput, below, count):
 
 
 @uncounted
+def bend_mirrors(lobes, variance, alpha, count):
+    """Let light samples look for lamps in mirrors that bend, of points 0..count.
+
+    variance (N,) float32 of the normals' slopes in a footprint, where a mirror shows a lamp in one footprint and not in
+    the next; 0: flat. alpha (N, L, 2): of these mirrors it becomes that of a lobe as wide. Lobes that are little else
+    have no tails, which would be a glow about every lamp.
+    """
+    for k in range(count):
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            if kind & KIND_MASK != REFLECTION:
+                continue
+            if kind & SINGULAR_LOBE:
+                if not variance[k] > 0.0:
+                    continue
+                alpha[k, j, 0] = alpha[k, j, 1] = math.sqrt(2.0 * np.float64(variance[k]))
+            if np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1]) < BENT * np.float64(variance[k]):
+                lobes.kind[k, j] |= BECKMANN
+            lobes.flags[k] |= HAS_EVALUATION
+
+
+@uncounted
 def keep_lobes(lobes, alpha, integrated, count):
     """Drop the lobes of points 0..count that only cones can follow: perfect mirrors and clear glass.
 
-    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals left it; integrated (N, L): see scatter_lobes.
+    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals and `bend_mirrors` left it; integrated (N, L): see
+    scatter_lobes.
     """
     for k in range(count):
         kept = np.int64(0)
         for j in range(np.int64(lobes.count[k])):
             kind = lobes.kind[k, j]
-            if kind & SINGULAR_LOBE:
+            rough = np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1])
+            if kind & SINGULAR_LOBE and rough <= SINGULAR_ALPHA_SQUARED:
                 continue
             if kept != j:
                 lobes.kind[k, kept] = kind

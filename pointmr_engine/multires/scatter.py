@@ -19,13 +19,14 @@ from pointmr_engine.multires.lobe_shares import NARROW, mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
-from pointmr_engine.raytracing.paths import LAST, SEES_LAMPS
+from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     GLASS,
     IOR,
     KIND_MASK,
     NORMAL,
+    REFLECTION,
     REFRACTION,
     SINGULAR_LOBE,
     TRANSLUCENT,
@@ -145,15 +146,16 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, limit, glinting, shares, first_share, passed):  # fmt: skip
+                  record, integrated, small, bent, limit, glinting, shares, first_share, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
     path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
     integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
-    that weigh too little to be worth cones. limit: roughness above which lobes take rays; glinting: throughput below
-    which lobes look for lamps. shares: what rays of the first surfaces' lobes find is shared by these rows, from
-    first_share on (none: not at all). passed (2, L, 3) float64 to work in.
+    that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples look for lamps.
+    limit: roughness above which lobes take rays; glinting: throughput below which lobes look for lamps. shares: what
+    rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not at all). passed
+    (2, L, 3) float64 to work in.
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
@@ -219,7 +221,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 for _ in range(times):
                     m = _reflect(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
-                        glints, integrated[k, j], small[k], rough, ray, crowded,
+                        glints, integrated[k, j], small[k], bent[k], rough, ray, crowded,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
             f = _branch(chosen, _largest(g), before, target, total)
@@ -240,7 +242,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
 @device
 def _reflect(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
-    small, rough, ray, alone,
+    small, bent, rough, ray, alone,
 ):  # fmt: skip
     """The ray of a lobe that reflects, its cone, or the two of one that matters; returns the next row.
 
@@ -280,6 +282,8 @@ def _reflect(
             out.flags[m] |= SEES_LAMPS
         if singular == 0 and not integrated:
             out.bsdf_pdf[m] = BY_LOBE
+        if singular != 0 and bent and kind & KIND_MASK == REFLECTION:
+            out.flags[m] |= NO_LAMPS
         out.state.spread[m] = paths.state.spread[k]
         open_cone(record.cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2])
         record.alpha[m] = 0.0 if singular else rough

@@ -43,6 +43,7 @@ BACKDROP = 4  # nothing but transparent surfaces so far: alpha and passes see th
 PASSES_DONE = 8  # the normal pass has its surface
 THROUGH = 16  # some surface was passed straight
 SEES_LAMPS = 32  # no light sample looked for lamps in the ray's place (multires)
+NO_LAMPS = 64  # light samples looked for all lamps in the ray's place (multires)
 
 
 class Paths(NamedTuple):

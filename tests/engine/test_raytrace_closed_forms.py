@@ -35,9 +35,6 @@ JUDGED = [  # one or two of a kind: what a minute allows
 ]
 PATCH = 0.01  # bound of flat patches
 BOUNDS = {1: 0.02, 64: 0.005}  # by cones a pixel
-MISSED = {  # measured errors beyond the bound, percent of the range
-    ("mirrored sphere, middle", 1): 2.13,
-}
 
 
 @functools.cache
@@ -71,16 +68,9 @@ def test_a_wrong_formula_is_noticed():
     assert not agrees("penumbra of a disk", moved=1)
 
 
-def judged():
-    for name in JUDGED:
-        for cones, bound in BOUNDS.items():
-            missed = MISSED.get((name, cones))
-            reason = f"measured: {missed} % of the range"
-            marks = [pytest.mark.xfail(strict=False, reason=reason)] if missed else []
-            yield pytest.param(name, cones, PATCH if "patch" in name else bound, marks=marks)
-
-
-@pytest.mark.parametrize(("name", "cones", "bound"), list(judged()))
-def test_cones_meet_the_exact_image(name, cones, bound):
+@pytest.mark.parametrize("name", JUDGED)
+@pytest.mark.parametrize("cones", list(BOUNDS))
+def test_cones_meet_the_exact_image(name, cones):
+    bound = PATCH if "patch" in name else BOUNDS[cones]
     error = CASES[name].error(image(name, f"raytrace:{cones}"), exact_of(name))
     assert error <= bound, f"{100.0 * error:.2f} % of the range"

@@ -71,6 +71,36 @@ def test_curved_mirrors_show_one_of_many_lamps():
     assert ours[BALL].mean() == pytest.approx(exact[BALL].mean(), rel=0.06)
 
 
+@pytest.mark.parametrize("roughness", [0.0, 0.05, 0.1])
+def test_curved_metal_shows_a_lamp_in_its_shape(roughness):
+    """A lamp that takes cones; as many points on it as light the rest would show as dots, or as rings."""
+    metal = principled("metal", base_color=(0.5, 0.5, 0.5), roughness=roughness, metallic=1.0)
+    scene, cache, size = Scene(Group("root", [ball(metal)]), CAMERA, lamps(2), DARK), Cache(), (96, 72)
+    exact = np.mean([image(scene, cache, size, method="distributed", samples=256, seed=s) for s in (0, 1)], 0)
+    ours = np.mean([image(scene, cache, size, seed=s) for s in range(4)], 0)
+    assert ours.mean() == pytest.approx(exact.mean(), rel=0.03)
+    assert np.abs(ours - exact).mean() < 0.07 * exact.mean()
+
+
+@pytest.mark.parametrize("width", [96, 240])
+def test_curved_mirrors_show_the_sun_wherever_it_stands(width):
+    """It is smaller than what a footprint reflects: its light must not hang on whether the footprint's middle meets it.
+
+    What a sphere sends on of a sun's light is the same for all roughnesses, but for what grazes.
+    """
+    found = []
+    for place in ((3, -3, 4), (1, -4, 2), (-2, -3, 5), (-3, -4, 1), (2, -5, 3)):
+        sun = Light("SUN", look(place, (0, 0, 0)), power=3.0, angle=math.radians(0.5))
+        sums = []
+        for roughness in (0.0, 0.3):
+            metal = principled("metal", base_color=(0.5, 0.5, 0.5), roughness=roughness, metallic=1.0)
+            scene = Scene(Group("root", [ball(metal)]), CAMERA, [sun], DARK)
+            sums.append(image(scene, Cache(), (width, width * 3 // 4)).mean())
+        found.append(sums[0] / sums[1])
+    assert np.mean(found) == pytest.approx(1.0, abs=0.15)
+    assert min(found) > 0.5
+
+
 @pytest.mark.parametrize("count", [2, 5])
 @pytest.mark.parametrize("material", [GLASS, CHROME], ids=["glass", "chrome"])
 def test_metal_beside_what_is_sharp_keeps_its_highlights(count, material):
