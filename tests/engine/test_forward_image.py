@@ -20,6 +20,7 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
+from pointmr_engine.forward import walk
 from pointmr_engine.render import Cache, Cancelled
 from pointmr_engine.scene.group import CAMERA
 from tests.engine.instanced import random_transforms, sphere
@@ -349,6 +350,25 @@ def test_statistics_count_what_was_drawn():
     assert frame.stats["method"] == "forward"
     assert counters["fragments"] > 0 and counters["nodes"] > counters["outside"]
     assert frame.stats["needs"]["sample_sets"] > 0
+
+
+def test_a_walk_ends_where_nothing_is_built_yet(monkeypatch):
+    """What lies behind boxes without samples may be hidden by them: it is not looked for, and not built."""
+    scene, patience = lit(meadow(5)), 16
+    whole = render(scene, SIZE)
+    monkeypatch.setattr(walk, "PATIENCE", patience)
+    short = render(scene, SIZE)
+    np.testing.assert_array_equal(short.passes["combined"], whole.passes["combined"])
+    waited, before = (f.stats["counters"]["waiting"] for f in (short, whole))
+    assert 0 < waited < before / 4
+
+
+def test_a_walk_remembers_no_box_that_it_has_visited():
+    cache = Cache()
+    counters = render(lit(meadow(5)), replace(SIZE, threads=1), cache=cache).stats["counters"]
+    (space,) = next(iter(cache._compiled.sampler._spaces.values()))
+    slots = space.scratch.used[3]
+    assert 0 < slots < (counters["nodes"] - counters["outside"]) / 10
 
 
 def test_placements_that_cannot_be_drawn_are_named():
