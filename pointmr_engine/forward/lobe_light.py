@@ -81,19 +81,14 @@ def widen_by_normals(lobes, spread, alpha, count):
 
 
 @uncounted
-def widen_more(lobes, spread, alpha, count):
-    """Widen the microfacet lobes of points 0..count from `alpha` on, which stays, by variances of slopes (N,)."""
+def widen_more(lobes, spread, times, alpha, count):
+    """Widen the microfacet lobes of points 0..count from `alpha` on, which stays, by `times` their `spread` (N,) > 0.
+
+    0 times: undo it.
+    """
     for i in range(count):
         if spread[i] > 0.0:
-            _widen(lobes, i, alpha, 2.0 * np.float64(spread[i]))
-
-
-@uncounted
-def narrow_again(lobes, spread, alpha, count):
-    """Undo `widen_more`."""
-    for i in range(count):
-        if spread[i] > 0.0:
-            _widen(lobes, i, alpha, 0.0)
+            _widen(lobes, i, alpha, 2.0 * times * np.float64(spread[i]))
 
 
 @device

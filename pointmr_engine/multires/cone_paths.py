@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.lobe_light import narrow_again, shade_lamps, widen_by_normals, widen_more
+from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals, widen_more
 from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
@@ -41,7 +41,7 @@ ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of ea
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
 AROUND = 0.5
 MOST = 3  # fragments of a cone
-GAPS = np.float32(2.0)  # times the variance of a fragment's normals, added for lamps
+GAPS = 2.0  # times the variance of a fragment's normals, added for lamps
 
 
 class ConePaths(SharingPaths):
@@ -126,9 +126,9 @@ class ConePaths(SharingPaths):
             return
         count, lobes = np.int64(self.count), self.lobes
         kinds = lobes.kind[:count].copy()
-        widen_more(lobes, GAPS * self.curved[:count], self.alpha, count)
+        widen_more(lobes, self.curved, GAPS, self.alpha, count)
         super()._look_at_light(now, m, turn)
-        narrow_again(lobes, self.curved, self.alpha, count)
+        widen_more(lobes, self.curved, 0.0, self.alpha, count)
         lobes.kind[:count] = kinds  # mirrors are mirrors again, though they bend
 
     def sample_lights(self, m: int, turn=None):
