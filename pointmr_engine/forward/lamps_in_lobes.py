@@ -1,8 +1,9 @@
 """Lamps as narrow lobes see them: what share of a lobe's directions meets the lamp.
 
 A lobe that is narrower than what one point of a lamp stands for would show these points, a dot each. So directions are
-spread evenly over the lobe instead: where all of them meet the lamp, its light is exact, and its edge is as sharp as
-the lobe.
+spread evenly over the lobe as well: where all of them meet the lamp, its light is exact, and its edge is as sharp as
+the lobe. What lies in the lobe's tails, where hardly a direction goes, is left to the points (power heuristic; Veach
+1997), so that the glow about a highlight has no grain.
 """
 
 from __future__ import annotations
@@ -32,38 +33,52 @@ from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 DIRECTIONS = 16  # in a lobe; the next point's go on in the same sequence
 NARROW = 32.0  # squared roughnesses in a lamp's solid angle from which a lobe sees it by itself
 REACH = 12.0  # roughnesses from a lamp's middle, and
-BALL = 1.6  # ... its radius, if it were round: how far from it lobes may look; farther away they change little over it
+BALL = 1.6  # ... its radius, if it were round: how far from it lobes may look; farther away, points find all
 
 
 @device
-def _sees(lobes, k, j, wi, direction, solid):
-    """Whether lobe j of point k is narrow for a lamp of so many steradians, and looks near it."""
+def _is_narrow(lobes, k, j, solid):
+    """Whether lobe j of point k is narrow for a lamp of so many steradians."""
     kind = lobes.kind[k, j]
     base = kind & KIND_MASK
     if base <= TRANSLUCENT or base == ASHIKHMIN_SHIRLEY or base == REFRACTION or base == GLASS:
         return False
     a, b = np.float64(lobes.data[k, j, ALPHA_X]), np.float64(lobes.data[k, j, ALPHA_Y])
-    if kind & SINGULAR_LOBE or NARROW * a * b > solid:
-        return False
+    return not kind & SINGULAR_LOBE and NARROW * a * b <= solid
+
+
+@device
+def _looks_near(lobes, k, j, wi, direction, solid):
+    """Whether directions of lobe j of point k may meet a lamp about `direction`, but for few of them."""
+    a, b = np.float64(lobes.data[k, j, ALPHA_X]), np.float64(lobes.data[k, j, ALPHA_Y])
     normal = load3(lobes.data, k, j, NORMAL)
     cosine = 2.0 * dot(normal, wi) * dot(normal, direction) - dot(wi, direction)
     return math.acos(min(max(cosine, -1.0), 1.0)) < BALL * math.sqrt(solid / math.pi) + REACH * max(a, b)
 
 
 @device
-def lamp_in_lobes(lobes, k, wi, lamps, i, px, py, pz, direction, solid, number):
-    """(r, g, b, lobes): light of lamp i, all of which arrives at p, that narrow lobes of point k send to the viewer.
+def _share_of_points(pdf, solid, points):
+    """What of a direction's light is left to a lamp's points, by the density `pdf` of the lobe's directions there."""
+    ratio = pdf * solid * DIRECTIONS / points
+    return 1.0 / (1.0 + ratio * ratio)
 
-    direction, solid: of the lamp's middle, its solid angle; number: of the point, by which it has directions of its
-    own; lobes: bits of those that are meant, for which nothing else is to be asked.
+
+@device
+def lamp_in_lobes(lobes, k, wi, lamps, i, px, py, pz, direction, solid, points, number):
+    """(r, g, b, lobes): what directions of narrow lobes of point k find of lamp i, all of whose light arrives at p.
+
+    direction, solid: of the lamp's middle, its solid angle, of which `points` find the rest (point_beside_lobes);
+    number: of the point, by which it has directions of its own; lobes: bits of those that are meant.
     """
     r = g = b = 0.0
     bits = np.int64(0)
     plane, normal = row3(lobes.geometric_normal, k), row3(lobes.normal, k)
     for j in range(np.int64(lobes.count[k])):
-        if not _sees(lobes, k, np.int64(j), wi, direction, solid):
+        if not _is_narrow(lobes, k, np.int64(j), solid):
             continue
         bits |= np.int64(1) << np.int64(j)
+        if not _looks_near(lobes, k, np.int64(j), wi, direction, solid):
+            continue
         facing, weight = load3(lobes.data, k, j, NORMAL), load3(lobes.data, k, j, WEIGHT)
         for s in range(DIRECTIONS):
             at = DIRECTIONS * number + s + 0.5
@@ -80,7 +95,7 @@ def lamp_in_lobes(lobes, k, wi, lamps, i, px, py, pz, direction, solid, number):
             )
             f, pdf, _ = evaluate(kind, lobes.data, k, j, lobes.film_table, wi, wo)
             if pdf > 0.0:
-                scale *= chance / (pdf * DIRECTIONS)
+                scale *= chance / (pdf * DIRECTIONS) * (1.0 - _share_of_points(pdf, solid, points))
                 r += weight[0] * f[0] * scale
                 g += weight[1] * f[1] * scale
                 b += weight[2] * f[2] * scale
@@ -88,8 +103,29 @@ def lamp_in_lobes(lobes, k, wi, lamps, i, px, py, pz, direction, solid, number):
 
 
 @device
-def hide_lobes(lobes, k, bits):
-    """Leave the lobes `bits` of point k out of what is evaluated, until they are widened again."""
+def point_beside_lobes(lobes, k, bits, wi, wo, solid, points):
+    """(r, g, b): BSDF * cosine of the lobes `bits` in the direction of one of the lamp's points, as far as it is left.
+
+    The lobes as `hide_lobes` left them.
+    """
+    r = g = b = 0.0
+    if dot(row3(lobes.geometric_normal, k), wo) <= 0.0:
+        return r, g, b
+    for j in range(np.int64(lobes.count[k])):
+        if not (bits >> np.int64(j)) & 1 or dot(load3(lobes.data, k, j, NORMAL), wo) <= 0.0:
+            continue
+        kind = lobes.kind[k, j] & ~SINGULAR_LOBE
+        f, pdf, _ = evaluate(kind, lobes.data, k, j, lobes.film_table, wi, wo)
+        weight, share = load3(lobes.data, k, j, WEIGHT), _share_of_points(pdf, solid, points)
+        r, g, b = r + share * weight[0] * f[0], g + share * weight[1] * f[1], b + share * weight[2] * f[2]
+    return r, g, b
+
+
+@device
+def hide_lobes(lobes, k, alpha, bits):
+    """Leave the lobes `bits` of point k out of what is evaluated, until they are widened; alpha (N, L, 2) is theirs."""
     for j in range(np.int64(lobes.count[k])):
         if (bits >> np.int64(j)) & 1:
             lobes.kind[k, j] |= SINGULAR_LOBE
+            lobes.data[k, j, ALPHA_X] = alpha[k, j, 0]
+            lobes.data[k, j, ALPHA_Y] = alpha[k, j, 1]

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.lamps_in_lobes import hide_lobes, lamp_in_lobes
+from pointmr_engine.forward.lamps_in_lobes import hide_lobes, lamp_in_lobes, point_beside_lobes
 from pointmr_engine.forward.world_light import world_irradiance, world_lobe
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import DISTANT, POINT, RECTANGLE, sample_lamp
@@ -159,17 +159,28 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                 if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
                     continue
             seen = lamps.visibility[i]
+            bits = np.int64(0)
             if solid > 0.0:
-                bits = np.int64(0)
                 if seen & GLOSSY:
                     _widen(lobes, np.int64(k), alpha, 0.0)
                     x, y, z, bits = lamp_in_lobes(
-                        lobes, np.int64(k), wi, lamps, np.int64(i), px, py, pz, (dx, dy, dz), solid, first + k
+                        lobes,
+                        np.int64(k),
+                        wi,
+                        lamps,
+                        np.int64(i),
+                        px,
+                        py,
+                        pz,
+                        (dx, dy, dz),
+                        solid,
+                        np.float64(points),
+                        first + k,
                     )
                     r, g, b = r + arrives * x, g + arrives * y, b + arrives * z
                 _widen(lobes, np.int64(k), alpha, _GLITTER * solid / (math.pi * points))
                 if bits != 0:
-                    hide_lobes(lobes, np.int64(k), bits)
+                    hide_lobes(lobes, np.int64(k), alpha, bits)
                 widened = True
             elif widened:
                 _widen(lobes, np.int64(k), alpha, 0.0)
@@ -195,6 +206,11 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                         f2 = plane * f2 + ball * lobes.diffuse_color[k, 2]
                 if seen & GLOSSY:
                     f0, f1, f2 = f0 + glossy[0], f1 + glossy[1], f2 + glossy[2]
+                if bits != 0:
+                    x, y, z = point_beside_lobes(
+                        lobes, np.int64(k), bits, wi, (dx, dy, dz), solid, np.float64(points)
+                    )
+                    f0, f1, f2 = f0 + x, f1 + y, f2 + z
                 if seen & TRANSMISSION:
                     f0, f1, f2 = f0 + transmission[0], f1 + transmission[1], f2 + transmission[2]
                 scale *= arrives
