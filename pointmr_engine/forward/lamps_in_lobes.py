@@ -18,13 +18,11 @@ from pointmr_engine.raytracing.lamps import intersect_lamp, lamp_pdf_scale
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
-    ASHIKHMIN_SHIRLEY,
-    GLASS,
     KIND_MASK,
     NORMAL,
-    REFRACTION,
+    REFLECTION,
+    SINGULAR_ALPHA_SQUARED,
     SINGULAR_LOBE,
-    TRANSLUCENT,
     WEIGHT,
 )
 from pointmr_engine.shading.bsdf.microfacet import evaluate, sample
@@ -37,14 +35,15 @@ BALL = 1.6  # ... its radius, if it were round: how far from it lobes may look; 
 
 
 @device
-def _is_narrow(lobes, k, j, solid):
-    """Whether lobe j of point k is narrow for a lamp of so many steradians."""
-    kind = lobes.kind[k, j]
-    base = kind & KIND_MASK
-    if base <= TRANSLUCENT or base == ASHIKHMIN_SHIRLEY or base == REFRACTION or base == GLASS:
-        return False
-    a, b = np.float64(lobes.data[k, j, ALPHA_X]), np.float64(lobes.data[k, j, ALPHA_Y])
-    return not kind & SINGULAR_LOBE and NARROW * a * b <= solid
+def narrow_lobes(lobes, k, alpha, solid):
+    """Bits of the lobes of point k that are narrow for a lamp of so many steradians; alpha (N, L, 2): how rough."""
+    bits = np.int64(0)
+    for j in range(np.int64(lobes.count[k])):
+        rough = np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1])
+        reflects = lobes.kind[k, j] & KIND_MASK == REFLECTION
+        if reflects and rough > SINGULAR_ALPHA_SQUARED and NARROW * rough <= solid:
+            bits |= np.int64(1) << np.int64(j)
+    return bits
 
 
 @device
@@ -64,26 +63,22 @@ def _share_of_points(pdf, solid, points):
 
 
 @device
-def lamp_in_lobes(lobes, k, wi, lamps, i, px, py, pz, direction, solid, points, number):
-    """(r, g, b, lobes): what directions of narrow lobes of point k find of lamp i, all of whose light arrives at p.
+def lamp_in_lobes(lobes, k, bits, wi, lamps, i, px, py, pz, direction, solid, points, number):
+    """(r, g, b): what directions of the lobes `bits` of point k find of lamp i, all of whose light arrives at p.
 
     direction, solid: of the lamp's middle, its solid angle, of which `points` find the rest (point_beside_lobes);
-    number: of the point, by which it has directions of its own; lobes: bits of those that are meant.
+    number: of the point, by which it has directions of its own.
     """
     r = g = b = 0.0
-    bits = np.int64(0)
     plane, normal = row3(lobes.geometric_normal, k), row3(lobes.normal, k)
     for j in range(np.int64(lobes.count[k])):
-        if not _is_narrow(lobes, k, np.int64(j), solid):
-            continue
-        bits |= np.int64(1) << np.int64(j)
-        if not _looks_near(lobes, k, np.int64(j), wi, direction, solid):
+        if not (bits >> np.int64(j)) & 1 or not _looks_near(lobes, k, np.int64(j), wi, direction, solid):
             continue
         facing, weight = load3(lobes.data, k, j, NORMAL), load3(lobes.data, k, j, WEIGHT)
+        kind = lobes.kind[k, j]
         for s in range(DIRECTIONS):
             at = DIRECTIONS * number + s + 0.5
             u, v = (at * R2[0]) % 1.0, (at * R2[1]) % 1.0
-            kind = lobes.kind[k, j]
             wo, _, _, _, chance = sample(kind, lobes.data, k, j, lobes.film_table, wi, 0.0, u, v)
             if not chance > 0.0 or dot(facing, wo) <= 0.0 or dot(plane, wo) <= 0.0:
                 continue
@@ -99,7 +94,7 @@ def lamp_in_lobes(lobes, k, wi, lamps, i, px, py, pz, direction, solid, points, 
                 r += weight[0] * f[0] * scale
                 g += weight[1] * f[1] * scale
                 b += weight[2] * f[2] * scale
-    return r * lamps.radiance[i, 0], g * lamps.radiance[i, 1], b * lamps.radiance[i, 2], bits
+    return r * lamps.radiance[i, 0], g * lamps.radiance[i, 1], b * lamps.radiance[i, 2]
 
 
 @device

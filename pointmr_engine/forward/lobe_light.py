@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.lamps_in_lobes import hide_lobes, lamp_in_lobes, point_beside_lobes
+from pointmr_engine.forward.lamps_in_lobes import hide_lobes, lamp_in_lobes, narrow_lobes, point_beside_lobes
 from pointmr_engine.forward.world_light import world_irradiance, world_lobe
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import DISTANT, POINT, RECTANGLE, sample_lamp
@@ -162,21 +162,13 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             bits = np.int64(0)
             if solid > 0.0:
                 if seen & GLOSSY:
+                    bits = narrow_lobes(lobes, np.int64(k), alpha, solid)
+                if bits != 0:
                     _widen(lobes, np.int64(k), alpha, 0.0)
-                    x, y, z, bits = lamp_in_lobes(
-                        lobes,
-                        np.int64(k),
-                        wi,
-                        lamps,
-                        np.int64(i),
-                        px,
-                        py,
-                        pz,
-                        (dx, dy, dz),
-                        solid,
-                        np.float64(points),
-                        first + k,
-                    )
+                    x, y, z = lamp_in_lobes(
+                        lobes, np.int64(k), bits, wi, lamps, np.int64(i), px, py, pz, (dx, dy, dz), solid,
+                        np.float64(points), first + k,
+                    )  # fmt: skip
                     r, g, b = r + arrives * x, g + arrives * y, b + arrives * z
                 _widen(lobes, np.int64(k), alpha, _GLITTER * solid / (math.pi * points))
                 if bits != 0:

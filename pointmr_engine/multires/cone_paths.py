@@ -58,7 +58,7 @@ class ConePaths(SharingPaths):
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
-        self.none, self.bent = np.zeros((2, n), np.bool_)
+        self.none = np.zeros(n, np.bool_)
         self.share = np.ones((len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(n, np.int32)
         self.terms = np.empty((n, TERMS))
@@ -94,9 +94,7 @@ class ConePaths(SharingPaths):
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
         self.small = self._small(n) if bounce == 0 else None
         bends = bounce == 0 and self.light.bends
-        if bends:
-            np.greater(self.curved[:n], 0.0, out=self.bent[:n])
-        self._scatter(now, n, alive, bounce, self.bent if bends else self.none)
+        self._scatter(now, n, alive, bounce, self.curved[:n] > 0.0 if bends else self.none)
         lobes, light = self.lobes, self.light
         lobes.count[:n][~alive] = 0
         if bends:
