@@ -17,17 +17,19 @@ import numpy as np
 from pointmr_engine.numerics.jit import device, summed, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
-REACH = 2.0  # cones: how far apart fragments share
+REACH = 5  # cones: how far apart fragments share
+NEIGHBOURHOOD = 2  # cones: how far apart what rays met tells how near things are
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
+ALIKE = 0.2  # of it: fragments of a cone that differ by less receive the same
 # change with the root of 1 less the cosine of normals (their angle over 1.4). The split sphere has 1 for the world, but
 # light from one side of it, or from lamps, makes more of bumps; mirrored, light turns twice as far
 TURN_OF_WORLD, TURN_OF_LAMPS, TURN_OF_LOBE = 3.0, 4.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
-# Rows of the table of what fragments tell each other, by channel or axis: place in the image, what they have met, place
-# and normal in the world, 1 where they reflect a channel, what arrives of it, how much that counts, and the angle.
-AT_X, AT_Y, NEARNESS, RAYS, PLACE, FACING, HEARD, ARRIVED, WORTH, WIDTH = 0, 1, 2, 3, 4, 7, 10, 13, 16, 17
-COLUMNS = 18
+# Rows of the table of what fragments tell each other, by channel or axis: what rays about them met, place and normal in
+# the world, how much they count, by channel, what arrives times that, and the angle from which it does.
+NEARNESS, PLACE, FACING, HEARD, ARRIVED, WIDTH = 0, 1, 4, 7, 10, 13
+COLUMNS = 14
 
 
 class Shares(NamedTuple):
@@ -168,16 +170,13 @@ def take_light(radiance, before, first, count, shares):
 
 
 @uncounted
-def _by_pixel(x, y, subpixels, shares, count, start, order):
-    """Order the fragments 0..count that share by pixel: start (rows, columns + 1) int32 of each in order (F,) int32.
-
-    Rows of pixels lie one behind the other, so that those of neighbours in a row are one run.
-    """
+def _by_cone(x, y, subpixels, shares, count, start, order):
+    """Order the fragments 0..count that share by cone: start (rows, columns + 1) int32 of each in order (F,) int32."""
     rows, columns = start.shape[0], start.shape[1] - 1
     start[:] = 0
     for k in range(count):
         if _shares(shares, k):
-            i, j = _pixel_of(x[k], y[k], subpixels, rows, columns)
+            i, j = _cone_of(x[k], y[k], subpixels, rows, columns)
             start[j, i] += 1
     total = 0
     for j in range(rows):
@@ -186,76 +185,111 @@ def _by_pixel(x, y, subpixels, shares, count, start, order):
             start[j, i] = total
     for k in range(count - 1, -1, -1):
         if _shares(shares, k):
-            i, j = _pixel_of(x[k], y[k], subpixels, rows, columns)
+            i, j = _cone_of(x[k], y[k], subpixels, rows, columns)
             start[j, i] -= 1
             order[start[j, i]] = k
     return total
 
 
 @device
-def _pixel_of(x, y, subpixels, rows, columns):
+def _cone_of(x, y, subpixels, rows, columns):
     i, j = np.int64(x) // subpixels, np.int64(y) // subpixels
     return min(max(i, 0), columns - 1), min(max(j, 0), rows - 1)
 
 
 @uncounted
-def _gather(x, y, shares, order, total, origin, table):
-    """What fragments order[0..total] tell their neighbours, to the columns of table (COLUMNS, F) float32.
+def _met_about(shares, start, order, wide, sums, near):
+    """near (rows, columns) float32: mean of 1 / metres of the rays of fragments within `wide` cones of each cone.
 
-    origin (3,) float64: about which places keep their precision.
+    sums (2, rows, columns) float64 to work in.
     """
-    for s in range(total):
-        k = np.int64(order[s])
-        table[AT_X, s], table[AT_Y, s] = x[k], y[k]
-        table[NEARNESS, s], table[RAYS, s] = shares.nearness[k], shares.rays[k]
-        table[WORTH, s], table[WIDTH, s] = shares.worth[k], shares.width[k]
-        for c in range(3):
-            albedo = np.float64(shares.albedo[k, c])
-            table[PLACE + c, s] = shares.position[k, c] - origin[c]
-            table[FACING + c, s] = shares.normal[k, c]
-            table[HEARD + c, s] = 1.0 if albedo > DIM else 0.0
-            table[ARRIVED + c, s] = shares.light[k, c] / albedo if albedo > DIM else 0.0
+    rows, columns = near.shape
+    for j in range(rows):
+        for i in range(columns):
+            met, rays = 0.0, 0.0
+            for s in range(start[j, i], start[j, i + 1]):
+                met += np.float64(shares.nearness[order[s]])
+                rays += np.float64(shares.rays[order[s]])
+            sums[0, j, i], sums[1, j, i] = met, rays
+    for j in range(rows):
+        for i in range(columns):
+            met, rays = 0.0, 0.0
+            for q in range(max(j - wide, 0), min(j + wide + 1, rows)):
+                for p in range(max(i - wide, 0), min(i + wide + 1, columns)):
+                    met += sums[0, q, p]
+                    rays += sums[1, q, p]
+            near[j, i] = met / max(rays, 1.0)
+
+
+@uncounted
+def _join_alike(shares, start, order, near, origin, turn, into, begin, table):
+    """Fragments of a cone that would share nearly all become one row of table (COLUMNS, F) float32; returns how many.
+
+    into (F,) int32: the row of each of order (F,); begin (rows, columns + 1) int32: first rows of cones; origin (3,)
+    float64: about which places keep their precision.
+    """
+    rows, columns = near.shape
+    n = np.int64(0)
+    for j in range(rows):
+        for i in range(columns):
+            first = n
+            begin[j, i] = first
+            for s in range(start[j, i], start[j, i + 1]):
+                k = np.int64(order[s])
+                x = np.float32(shares.position[k, 0] - origin[0])
+                y = np.float32(shares.position[k, 1] - origin[1])
+                z = np.float32(shares.position[k, 2] - origin[2])
+                width = shares.width[k]
+                found = n
+                for g in range(first, n):
+                    dx, dy, dz = table[PLACE, g] - x, table[PLACE + 1, g] - y, table[PLACE + 2, g] - z
+                    facing = np.float32(0)
+                    for c in range(3):
+                        facing += table[FACING + c, g] * shares.normal[k, c]
+                    change = math.sqrt(dx * dx + dy * dy + dz * dz) * near[j, i]
+                    change += turn * math.sqrt(max(np.float32(1) - facing, np.float32(0)))
+                    if change + abs(table[WIDTH, g] - width) < ALIKE * ERROR * width:
+                        found = np.int64(g)
+                        break
+                into[s] = found
+                if found == n:
+                    n += 1
+                    table[NEARNESS, found], table[WIDTH, found] = near[j, i], width
+                    table[PLACE, found], table[PLACE + 1, found], table[PLACE + 2, found] = x, y, z
+                    for c in range(3):
+                        table[FACING + c, found] = shares.normal[k, c]
+                        table[HEARD + c, found] = table[ARRIVED + c, found] = np.float32(0)
+                for c in range(3):
+                    if shares.albedo[k, c] > DIM:
+                        table[HEARD + c, found] += shares.worth[k]
+                        table[ARRIVED + c, found] += shares.worth[k] * (shares.light[k, c] / shares.albedo[k, c])
+        begin[j, columns] = n
+    return n
 
 
 @device
-def _take_band(table, start, low, high, row, begin, own, index, band):
-    """Copy rows of pixels low..high of a table to `band`, column by column: pixels side by side are one run of it.
+def _take_band(table, begin, low, high, row, column, own, band):
+    """Copy rows of cones low..high of a table to `band`, column by column: cones side by side are one run of it.
 
-    begin (columns + 1,) int64: where columns begin; own (columns,): to be added to the numbers that start[row] has.
+    column (columns + 1,) int64: where columns begin; own (columns,): where those of `row` do.
     """
     n = np.int64(0)
     for i in range(len(own)):
-        begin[i] = n
+        column[i] = n
         for q in range(low, high):
             if q == row:
-                own[i] = n - start[q, i]
-            for s in range(start[q, i], start[q, i + 1]):
-                index[n] = s
+                own[i] = n
+            for s in range(begin[q, i], begin[q, i + 1]):
+                for c in range(COLUMNS):
+                    band[c, n] = table[c, s]
                 n += 1
-    begin[len(own)] = n
-    for c in range(COLUMNS):
-        for k in range(n):
-            band[c, k] = table[c, index[k]]
+    column[len(own)] = n
 
 
 @summed
-def _met_about(band, first, end, x, y, reach):
-    """Mean of 1 / metres of the rays of the fragments first..end within reach of x, y."""
-    nothing = np.float32(0)
-    near, rays = nothing, nothing
-    for k in range(end - first):
-        g = first + np.uint64(k)
-        within = (abs(band[AT_X, g] - x) <= reach) & (abs(band[AT_Y, g] - y) <= reach)
-        near += band[NEARNESS, g] if within else nothing
-        rays += band[RAYS, g] if within else nothing
-    return near / max(rays, np.float32(1))
-
-
-@summed
-def _received_about(band, first, end, s, reach, turn, sums):
-    """sums (6,) float32: weights and weighted light of the fragments first..end, as far as s shares theirs."""
-    x, y = band[AT_X, s], band[AT_Y, s]
-    near = _met_about(band, first, end, x, y, reach)
+def _received_about(band, first, end, s, turn, sums):
+    """sums (6,) float32: weights and weighted light of the rows first..end of a band, as far as s shares theirs."""
+    near = band[NEARNESS, s]
     px, py, pz = band[PLACE, s], band[PLACE + 1, s], band[PLACE + 2, s]
     nx, ny, nz = band[FACING, s], band[FACING + 1, s], band[FACING + 2, s]
     nothing, one = np.float32(0), np.float32(1)
@@ -266,11 +300,11 @@ def _received_about(band, first, end, s, reach, turn, sums):
         t = first + np.uint64(k)
         dx, dy, dz = band[PLACE, t] - px, band[PLACE + 1, t] - py, band[PLACE + 2, t] - pz
         facing = band[FACING, t] * nx + band[FACING + 1, t] * ny + band[FACING + 2, t] * nz
-        change = np.sqrt(dx * dx + dy * dy + dz * dz) * near + turn * np.sqrt(max(one - facing, nothing))
+        change = np.sqrt(dx * dx + dy * dy + dz * dz) * max(near, band[NEARNESS, t])
+        change += turn * np.sqrt(max(one - facing, nothing))
         change += abs(band[WIDTH, t] - width)
-        within = (abs(band[AT_X, t] - x) <= reach) & (abs(band[AT_Y, t] - y) <= reach)
-        weight = max(one - change * narrow, nothing) if within else nothing
-        weight = (one if t == s else weight) * band[WORTH, t]
+        weight = max(one - change * narrow, nothing)
+        weight = one if t == s else weight
         u += weight * band[HEARD, t]
         v += weight * band[HEARD + 1, t]
         w += weight * band[HEARD + 2, t]
@@ -280,40 +314,49 @@ def _received_about(band, first, end, s, reach, turn, sums):
     sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = u, v, w, r, g, b
 
 
-def share_light(
-    x, y, subpixels: int, reach: float, turn: float, shares: Shares, count: int, shape, eye, out
-) -> None:
-    """Add what fragments 0..count of a tile of `shape` pixels (rows, columns) share to out (F, 3) float32.
-
-    x, y (F,) float32: their places, subpixels; reach: subpixels within which they share; turn: TURN_OF_WORLD, ...;
-    eye (3,) float64: where they are seen from, or for a parallel view a place among them.
-    """
-    start, order = np.empty((shape[0], shape[1] + 1), np.int32), np.empty(count, np.int32)
-    table, n = np.empty((COLUMNS, count), np.float32), np.int64(count)
-    total = _by_pixel(x, y, np.int64(subpixels), shares, n, start, order)
-    _gather(x, y, shares, order, np.int64(total), eye, table)
-    wide = math.ceil(reach / subpixels)
-    most = int(np.convolve(start[:, -1] - start[:, 0], np.ones(2 * wide + 1, np.int64)).max())
-    _add_received(
-        shares, start, order, table, np.int64(wide), np.float32(reach), np.float32(turn),
-        np.empty(shape[1] + 1, np.int64), np.empty(shape[1], np.int64), np.empty(most, np.int64),
-        np.empty((COLUMNS, most), np.float32), np.empty(6, np.float32), out,
-    )  # fmt: skip
+@uncounted
+def _receive(table, begin, wide, turn, column, own, band, sums, received):
+    """received (6, F) float32: what the rows of a table receive together, within `wide` cones; others: _take_band."""
+    rows, columns = begin.shape[0], begin.shape[1] - 1
+    for j in range(rows):
+        _take_band(table, begin, max(j - wide, 0), min(j + wide + 1, rows), j, column, own, band)
+        for i in range(columns):
+            first, end = np.uint64(column[max(i - wide, 0)]), np.uint64(column[min(i + wide + 1, columns)])
+            for s in range(begin[j, i], begin[j, i + 1]):
+                _received_about(band, first, end, np.uint64(own[i] + s - begin[j, i]), turn, sums)
+                for c in range(6):
+                    received[c, s] = sums[c]
 
 
 @uncounted
-def _add_received(shares, start, order, table, wide, reach, turn, begin, own, index, band, sums, out):
-    """Add what the fragments of `table` receive together to out. begin, own, index, band: see _take_band; sums (6,)."""
-    rows, columns = start.shape[0], start.shape[1] - 1
-    for j in range(rows):
-        _take_band(table, start, max(j - wide, 0), min(j + wide + 1, rows), j, begin, own, index, band)
-        for i in range(columns):
-            first, end = np.uint64(begin[max(i - wide, 0)]), np.uint64(begin[min(i + wide + 1, columns)])
-            for s in range(start[j, i], start[j, i + 1]):
-                _received_about(band, first, end, np.uint64(own[i] + s), reach, turn, sums)
-                k = np.int64(order[s])
-                for c in range(3):
-                    if sums[c] > 0.0 and shares.albedo[k, c] > DIM:
-                        out[k, c] += shares.albedo[k, c] * sums[3 + c] / sums[c]
-                    else:
-                        out[k, c] += shares.light[k, c]
+def _add_received(shares, order, into, total, received, out):
+    """Add what the fragments order[0..total] reflect of what their rows `into` received to out (F, 3)."""
+    for s in range(total):
+        k, row = np.int64(order[s]), np.int64(into[s])
+        for c in range(3):
+            if received[c, row] > 0.0 and shares.albedo[k, c] > DIM:
+                out[k, c] += shares.albedo[k, c] * received[3 + c, row] / received[c, row]
+            else:
+                out[k, c] += shares.light[k, c]
+
+
+def share_light(x, y, cone: int, wide: int, turn: float, shares: Shares, count: int, shape, eye, out) -> None:
+    """Add what fragments 0..count of a tile of `shape` cones (rows, columns) share to out (F, 3) float32.
+
+    x, y (F,) float32: their places, subpixels, of which a cone has `cone` a side; wide: cones within which they share;
+    turn: TURN_OF_WORLD, ...; eye (3,) float64: where they are seen from, or for a parallel view a place among them.
+    """
+    (rows, columns), n = shape, np.int64(count)
+    start, order = np.empty((rows, columns + 1), np.int32), np.empty(count, np.int32)
+    total = np.int64(_by_cone(x, y, np.int64(cone), shares, n, start, order))
+    near, begin = np.empty(shape, np.float32), np.empty_like(start)
+    _met_about(shares, start, order, np.int64(NEIGHBOURHOOD), np.empty((2, rows, columns)), near)
+    into, table = np.empty(total, np.int32), np.empty((COLUMNS, total), np.float32)
+    made = _join_alike(shares, start, order, near, eye, np.float32(turn), into, begin, table)
+    most = int(np.convolve(begin[:, -1] - begin[:, 0], np.ones(2 * wide + 1, np.int64)).max())
+    received = np.empty((6, made), np.float32)
+    _receive(
+        table, begin, np.int64(wide), np.float32(turn), np.empty(columns + 1, np.int64), np.empty(columns, np.int64),
+        np.empty((COLUMNS, most), np.float32), np.empty(6, np.float32), received,
+    )  # fmt: skip
+    _add_received(shares, order, into, total, received, out)

@@ -20,7 +20,7 @@ from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.light_sharing import REACH
 from pointmr_engine.multires.looks import look_where_seen
-from pointmr_engine.multires.merge import choose_seen, merge_fragments
+from pointmr_engine.multires.merge import choose_seen, merge_even, merge_fragments
 from pointmr_engine.multires.opacity_micromap import with_micromap
 from pointmr_engine.multires.slopes import COLUMNS, find_slopes
 from pointmr_engine.raytracing.integrator import Stage
@@ -46,6 +46,16 @@ def primary_settings(settings: RenderSettings, alpha: bool) -> RenderSettings:
     return replace(settings, forward=forward)
 
 
+def plain_parts(sampler) -> np.ndarray:
+    """(parts,) bool: those whose materials look the same wherever one looks."""
+    tables, plain = sampler.geometry.tables, np.zeros(len(sampler.geometry.parts), np.bool_)
+    same = np.array(["surface" not in p.varying_with for p in sampler.programs] + [True])
+    for p in range(len(plain)):
+        slots = tables.slot_material[tables.first_slot[p] : tables.first_slot[p] + tables.slots[p]]
+        plain[p] = same[slots].all()
+    return plain
+
+
 class TracedImage(Image):
     """One image of method "raytrace": everything that its tiles share."""
 
@@ -65,11 +75,11 @@ class TracedImage(Image):
         self.taps = np.pad(self.taps, self.beside * self.subpixels)
         self.apron += self.beside
         self.cone = self.subpixels // side  # subpixels per side of a cone
-        self.reach = REACH * self.cone
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.hardly = 0.0
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
+        self.plain = plain_parts(sampler)
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
         if stage.needs.lens:
             from pointmr_engine.multires.lens_tiles import split_lens
@@ -166,6 +176,12 @@ class TracedTiles(Workspace):
             image.view.perspective, np.float64(image.footprint), self.fragments, np.int64(count), self.into,
             self.largest,
         )  # fmt: skip
+        if not image.views and self.cell == CELL == image.cone // 2:
+            merged = merge_even(
+                self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
+                image.view.perspective, np.float64(image.footprint), image.plain, self.fragments, np.int64(merged),
+                self.into, self.largest,
+            )  # fmt: skip
         choose_seen(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
             np.int64(merged), self.largest, self.seen,

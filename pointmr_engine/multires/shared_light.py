@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.light_sharing import (
+    REACH,
     TURN_OF_LAMPS,
     TURN_OF_LOBE,
     TURN_OF_WORLD,
@@ -75,10 +76,14 @@ class SharedLight:
         """Note how near things are that rays 0..count to the world met."""
         count_near(shadows.source, hits.triangle, hits.t, np.int64(count), np.int64(first), self.world)
 
-    def take_world(self, radiance, before, rays: np.ndarray, first: int) -> None:
-        """What a batch's radiance has gained since `before` is shared; rays (n,): how many brought it."""
+    def count_rays(self, rays: np.ndarray, first: int) -> None:
+        """Note how many rays (n,) a batch's fragments have sent to the world."""
         own = slice(first, first + len(rays))
         self.world.rays[own] = self.world.worth[own] = rays
+
+    def take_world(self, radiance, before, rays: np.ndarray, first: int) -> None:
+        """What a batch's radiance has gained since `before` is shared; rays (n,): how many brought it."""
+        self.count_rays(rays, first)
         take_light(radiance, before, np.int64(first), np.int64(len(rays)), self.world)
 
     def take_lamps(self, shadows, hits, count: int, first: int, counts: bool) -> None:
@@ -133,11 +138,13 @@ class SharedLight:
     def give(self, space, count: int) -> None:
         """Add what the tile's fragments 0..count receive together to space.light."""
         f, image = space.fragments, space.image
+        side = image.subpixels // image.cone
+        shape = tuple(side * n for n in space.used.shape)
         for turn, shares in (
             (TURN_OF_WORLD, self.world), (TURN_OF_LAMPS, self.lamps), (TURN_OF_LOBE, self.lobes)
         ):  # fmt: skip
             if len(shares.rays):
                 eye = image.camera.world_from_camera[:, 3] if image.view.perspective else shares.position[0]
                 share_light(
-                    f.x, f.y, image.subpixels, image.reach, turn, shares, count, space.used.shape, eye, space.light
+                    f.x, f.y, image.cone, REACH, turn, shares, count, shape, eye, space.light
                 )  # fmt: skip

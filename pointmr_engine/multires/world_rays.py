@@ -11,15 +11,20 @@ import math
 
 import numpy as np
 
+from pointmr_engine.multires.light_sharing import ERROR, REACH, Shares
 from pointmr_engine.numerics.jit import uncounted
 
-WORTH = 120.0  # rays of a cone that sees one surface, for each unit of deviation of what arrives, against all its light
+# rays of a cone that sees one surface and shares with none, for each unit of deviation of what arrives, against all its
+# light; where the light of more cones becomes one, noise is least if each asks as often as the root of their number
+WORTH = 240.0
 MOST = 16  # rays of a fragment
 LARGE = 0.75  # of a cone that a fragment fills, from which it begins with two rays
 DOUBT = 0.1  # rays that escaped, and as many that did not, besides those that were seen: a few that agree prove little
 DIM = 0.3  # sum of the channels of what counts as dark: errors matter by their ratio to what is brighter
 _OPEN, _ARRIVED, _LIGHT, _SUBPIXELS, _RAYS = range(5)
 SUMS = 5
+_NEAR, _ASKED, _NORMAL, _FACES = 0, 1, 2, 5
+PEER_SUMS = 6
 
 
 @uncounted
@@ -30,12 +35,53 @@ def first_rays(subpixels, whole, count, asked):
 
 
 @uncounted
-def wanted_rays(pixel, open_light, arrived, others, subpixels, whole, worth, count, sums, asked):
+def count_peers(pixel, shares: Shares, first, width, turn, count, sums, peers):
+    """peers (N,) float64: the cones whose light becomes one with that of each of the fragments first..first + count.
+
+    By what rays from the pixels about it met, and how normals turn there (light_sharing). pixel (N,) int64: their
+    pixels' numbers in the tile; width (N,) float64: of a cone where it meets them, metres; turn: TURN_OF_WORLD, ...;
+    sums (rows, columns, PEER_SUMS) float64 to work in.
+    """
+    rows, columns = sums.shape[0], sums.shape[1]
+    sums[:] = 0.0
+    for k in range(count):
+        j, i, row = pixel[k] // columns, pixel[k] % columns, first + k
+        peers[k] = 1.0
+        if max(shares.albedo[row, 0], shares.albedo[row, 1], shares.albedo[row, 2]) > 0.0:
+            sums[j, i, _NEAR] += np.float64(shares.nearness[row])
+            sums[j, i, _ASKED] += np.float64(shares.rays[row])
+            for c in range(3):
+                sums[j, i, _NORMAL + c] += np.float64(shares.normal[row, c])
+            sums[j, i, _FACES] += 1.0
+    for k in range(count):
+        j, i, row = pixel[k] // columns, pixel[k] % columns, first + k
+        if not max(shares.albedo[row, 0], shares.albedo[row, 1], shares.albedo[row, 2]) > 0.0:
+            continue
+        near, rays, x, y, z, faces = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for q in range(max(j - 1, 0), min(j + 2, rows)):
+            for p in range(max(i - 1, 0), min(i + 2, columns)):
+                x += sums[q, p, _NORMAL]
+                y += sums[q, p, _NORMAL + 1]
+                z += sums[q, p, _NORMAL + 2]
+                faces += sums[q, p, _FACES]
+                if q != j or p != i:
+                    near += sums[q, p, _NEAR]
+                    rays += sums[q, p, _ASKED]
+        if rays > 0.0:
+            # the mean normal is shorter than 1 by a third of the square of the angle from cone to cone
+            bent = max(1.0 - math.sqrt(x * x + y * y + z * z) / faces, 0.0)
+            change = near / rays * width[k] + turn * math.sqrt(1.5 * bent)
+            reach = ERROR * np.float64(shares.width[row]) / max(change, 1e-6)
+            peers[k] = min(1.0 + math.pi / 3.0 * reach * reach, (2.0 * REACH + 1.0) ** 2)
+
+
+@uncounted
+def wanted_rays(pixel, open_light, arrived, others, subpixels, whole, worth, peers, count, sums, asked):
     """asked (N,) int64, rays that fragments 0..count have sent, becomes the number that they are worth, never less.
 
     pixel (N,) int64: their pixels' numbers in the tile; open_light, arrived (N,) float64: what they receive of the
     world without and with what hides it, sums of channels; others (N,): of all else so far. subpixels (N,): in which
-    each is seen, of a cone's `whole`. sums (rows, columns, SUMS) float64 to work in.
+    each is seen, of a cone's `whole`; peers (N,) float64: see count_peers. sums (rows, columns, SUMS) float64 to work in.
     """
     rows, columns = sums.shape[0], sums.shape[1]
     sums[:] = 0.0
@@ -63,7 +109,7 @@ def wanted_rays(pixel, open_light, arrived, others, subpixels, whole, worth, cou
         if opened > 0.0 and light > 0.0:
             share = min(max((through / opened * rays + DOUBT) / (rays + 2.0 * DOUBT), 0.0), 1.0)
             deviation = opened * math.sqrt(share * (1.0 - share)) / max(light, DIM * seen)
-        wanted = np.int64(worth * subpixels[k] / whole * deviation + 0.5)
+        wanted = np.int64(worth * subpixels[k] / whole * deviation / math.sqrt(peers[k]) + 0.5)
         asked[k] = min(max(wanted, asked[k]), MOST)
 
 
