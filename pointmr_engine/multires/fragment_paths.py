@@ -16,7 +16,7 @@ from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.curvature import mean_normals, spread_of_curvature
 from pointmr_engine.multires.path_pool import PathPool
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.integrator import Stage, Workspace, sub_frames
@@ -35,22 +35,58 @@ TINGE = 0.02  # of light in a channel: what coloured transparency lets through, 
 VEILS = 8  # transparent surfaces that a look at a clump passes at most
 
 
+@device
+def _pixel_of(f, k, subpixels, used):
+    """Column and row of fragment k's pixel in a tile."""
+    i, j = np.int64(f.x[k]) // subpixels, np.int64(f.y[k]) // subpixels
+    return min(max(i, 0), used.shape[1] - 1), min(max(j, 0), used.shape[0] - 1)
+
+
+@uncounted
+def begin_numbers(fragments, subpixels, count, used):
+    """used (rows, columns) int32: the numbers at which each pixel's samples begin, of a tile's fragments 0..count.
+
+    They go on along a Morton curve: what lies side by side in the image has samples that are stratified together
+    (Ahmed and Wonka 2020, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering
+    of Pixels"), so that what neighbours share, and what the pixel filter averages, has less noise than of samples by
+    chance.
+    """
+    rows, columns = used.shape
+    used[:] = 0
+    for k in range(count):
+        i, j = _pixel_of(fragments, k, subpixels, used)
+        used[j, i] += 1
+    side = 1
+    while side < max(rows, columns):
+        side *= 2
+    total = np.int64(0)
+    for code in range(side * side):
+        i, j, bit, rest = 0, 0, 1, code
+        while rest:
+            i |= bit * (rest & 1)
+            j |= bit * ((rest >> 1) & 1)
+            rest >>= 2
+            bit *= 2
+        if i < columns and j < rows:
+            n = used[j, i]
+            used[j, i] = total
+            total += n
+
+
 @uncounted
 def number_samples(fragments, left, low, subpixels, first, count, samples, seed, used, pixel):
-    """Pixels of fragments first..first + count, and their numbers in them, as samples 0..count.
+    """Pixels of fragments first..first + count, and their numbers along the tile's curve, as samples 0..count.
 
-    used (rows, columns) int32: fragments so far in the tile's pixels; left, low: the tile's first subpixel. pixel (N,)
+    used (rows, columns) int32: the next numbers of the tile's pixels; left, low: the tile's first subpixel. pixel (N,)
     int64: number of each one's pixel in the tile.
     """
+    own = pixel_seed(left, low, np.int64(seed))
     for k in range(count):
-        f = first + k
-        i, j = np.int64(fragments.x[f]) // subpixels, np.int64(fragments.y[f]) // subpixels
-        i, j = min(max(i, 0), used.shape[1] - 1), min(max(j, 0), used.shape[0] - 1)
-        x, y = left // subpixels + i, low // subpixels + j
-        samples.x[k] = x
-        samples.y[k] = y
+        i, j = _pixel_of(fragments, first + k, subpixels, used)
+        samples.x[k] = left // subpixels + i
+        samples.y[k] = low // subpixels + j
         samples.number[k] = used[j, i]
-        samples.seed[k] = pixel_seed(np.int64(x), np.int64(y), np.int64(seed))
+        samples.seed[k] = own
         pixel[k] = j * used.shape[1] + i
         used[j, i] += 1
 
@@ -126,10 +162,10 @@ class FragmentPaths(Workspace):
             none, none, none, none, *(np.zeros(0),) * 5, np.zeros(4, np.int64), np.zeros(1, np.int64)
         )
 
-    def start_tile(self, space) -> None:
-        """Begin with the fragments of a tile (forward.tiles.Workspace)."""
+    def start_tile(self, space, count: int) -> None:
+        """Begin with the fragments 0..count of a tile (forward.tiles.Workspace)."""
         self.space = space
-        space.used[:] = 0
+        begin_numbers(space.fragments, np.int64(space.image.subpixels), np.int64(count), space.used)
         self._forget()
 
     def _forget(self) -> None:

@@ -116,7 +116,7 @@ class LensShading(TracedShading):
     def shade(self, space: LensTiles, hierarchy, count: int) -> None:
         image, f = self.image, space.fragments
         paths, values = self.paths(space), space.placement_values(hierarchy)
-        paths.start_tile(space)
+        paths.start_tile(space, count)
         matrix = space.scratch.transforms.matrix
         for start, stop, k in space.parts:
             space.image = image.seen[k] if k >= 0 else image

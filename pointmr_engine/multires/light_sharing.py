@@ -27,9 +27,9 @@ TURN_OF_WORLD, TURN_OF_LAMPS, TURN_OF_LOBE = 3.0, 4.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
 # Rows of the table of what fragments tell each other, by channel or axis: what rays about them met, place and normal in
-# the world, how much they count, by channel, what arrives times that, and the angle from which it does.
-NEARNESS, PLACE, FACING, HEARD, ARRIVED, WIDTH = 0, 1, 4, 7, 10, 13
-COLUMNS = 14
+# the world, how much they count, by channel, what arrives times that, the angle from which it does, and their cone's place.
+NEARNESS, PLACE, FACING, HEARD, ARRIVED, WIDTH, AT_X, AT_Y = 0, 1, 4, 7, 10, 13, 14, 15
+COLUMNS = 16
 
 
 class Shares(NamedTuple):
@@ -255,6 +255,7 @@ def _join_alike(shares, start, order, near, origin, turn, into, begin, table):
                 if found == n:
                     n += 1
                     table[NEARNESS, found], table[WIDTH, found] = near[j, i], width
+                    table[AT_X, found], table[AT_Y, found] = i, j
                     table[PLACE, found], table[PLACE + 1, found], table[PLACE + 2, found] = x, y, z
                     for c in range(3):
                         table[FACING + c, found] = shares.normal[k, c]
@@ -262,7 +263,9 @@ def _join_alike(shares, start, order, near, origin, turn, into, begin, table):
                 for c in range(3):
                     if shares.albedo[k, c] > DIM:
                         table[HEARD + c, found] += shares.worth[k]
-                        table[ARRIVED + c, found] += shares.worth[k] * (shares.light[k, c] / shares.albedo[k, c])
+                        table[ARRIVED + c, found] += shares.worth[k] * (
+                            shares.light[k, c] / shares.albedo[k, c]
+                        )
         begin[j, columns] = n
     return n
 
@@ -287,7 +290,7 @@ def _take_band(table, begin, low, high, row, column, own, band):
 
 
 @summed
-def _received_about(band, first, end, s, turn, sums):
+def _received_about(band, first, end, s, falloff, turn, sums):
     """sums (6,) float32: weights and weighted light of the rows first..end of a band, as far as s shares theirs."""
     near = band[NEARNESS, s]
     px, py, pz = band[PLACE, s], band[PLACE + 1, s], band[PLACE + 2, s]
@@ -303,7 +306,8 @@ def _received_about(band, first, end, s, turn, sums):
         change = np.sqrt(dx * dx + dy * dy + dz * dz) * max(near, band[NEARNESS, t])
         change += turn * np.sqrt(max(one - facing, nothing))
         change += abs(band[WIDTH, t] - width)
-        weight = max(one - change * narrow, nothing)
+        i, j = band[AT_X, t] - band[AT_X, s], band[AT_Y, t] - band[AT_Y, s]
+        weight = max(one - change * narrow, nothing) * max(one - (i * i + j * j) * falloff, nothing)
         weight = one if t == s else weight
         u += weight * band[HEARD, t]
         v += weight * band[HEARD + 1, t]
@@ -318,12 +322,13 @@ def _received_about(band, first, end, s, turn, sums):
 def _receive(table, begin, wide, turn, column, own, band, sums, received):
     """received (6, F) float32: what the rows of a table receive together, within `wide` cones; others: _take_band."""
     rows, columns = begin.shape[0], begin.shape[1] - 1
+    falloff = np.float32(1.0 / (wide + 1.0) ** 2)
     for j in range(rows):
         _take_band(table, begin, max(j - wide, 0), min(j + wide + 1, rows), j, column, own, band)
         for i in range(columns):
             first, end = np.uint64(column[max(i - wide, 0)]), np.uint64(column[min(i + wide + 1, columns)])
             for s in range(begin[j, i], begin[j, i + 1]):
-                _received_about(band, first, end, np.uint64(own[i] + s - begin[j, i]), turn, sums)
+                _received_about(band, first, end, np.uint64(own[i] + s - begin[j, i]), falloff, turn, sums)
                 for c in range(6):
                     received[c, s] = sums[c]
 

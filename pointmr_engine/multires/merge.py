@@ -7,18 +7,14 @@ weights are true coverages; the mean normal is shorter than 1 by as much as the 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from pointmr_engine.forward.fragments import Fragments, is_clump
+from pointmr_engine.forward.fragments import Fragments
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 
 FACING = 0.94  # least cosine between the normals of fragments that merge
 APART = 0.75  # footprints: farthest from each other's planes
-# cosine and footprints from which a surface is even: the cells of a cone that it fills alone become one
-EVEN_FACING, EVEN_APART = 0.998, 0.1
 
 
 @device
@@ -155,65 +151,47 @@ def merge_fragments(
     return groups
 
 
-@device
-def _even(f: Fragments, g, k, footprint):
-    """Whether fragment k goes on where g lies, nearly in its plane."""
-    if f.part[g] != f.part[k] or f.row[g] != f.row[k]:
-        return False
-    flat, smooth, square_g, square_k, apart = 0.0, 0.0, 0.0, 0.0, 0.0
-    for c in range(3):
-        a, b = np.float64(f.normal[g, c]), np.float64(f.normal[k, c])
-        flat += np.float64(f.geometric[g, c]) * np.float64(f.geometric[k, c])
-        smooth += a * b
-        square_g += a * a
-        square_k += b * b
-        apart += (f.position[k, c] - f.position[g, c]) * np.float64(f.geometric[g, c])
-    # zero normals are looked up later, and are those of smooth triangles
-    alike = square_g == square_k == 0.0 or smooth > EVEN_FACING * math.sqrt(square_g * square_k) > 0.0
-    return alike and flat > EVEN_FACING and abs(apart) < EVEN_APART * footprint
-
-
 @uncounted
-def merge_even(ids, width, height, cell, perspective, pixel, plain, fragments: Fragments, count, into, largest):
-    """Merge the cells of each cone that one even surface fills; others as merge_fragments, whose fragments these are.
+def thin_margin(ids, width, height, margin, cone, fragments: Fragments, count, kept, first):
+    """Leave one fragment, the one seen most, of each cone in a margin that no pixel's filter reaches; returns how many.
 
-    A cone has 2 x 2 cells, with `cell` subpixels a side; plain (P,) bool: parts that look the same everywhere. Returns
-    how many fragments are left.
+    What lies there only tells others of its light, and one fragment of a cone tells as much as all. Of margin subpixels
+    on every side, and cones with `cone` a side; kept, first (F,) int32 to work in.
     """
-    f, whole = fragments, cell * cell
+    f = fragments
     for k in range(count):
-        into[k] = k
-    for top in range(0, height - 2 * cell + 1, 2 * cell):
-        for left in range(0, width - 2 * cell + 1, 2 * cell):
-            g = np.int64(ids[top, left])
-            if g < 0 or f.count[g] != whole or not plain[f.part[g]] or is_clump(f, g):
-                continue
-            footprint = pixel
-            if perspective:
-                footprint = pixel * f.position[g, 2]
-            even = True
-            for corner in range(1, 4):
-                k = np.int64(ids[top + cell * (corner >> 1), left + cell * (corner & 1)])
-                even = even and k >= 0 and f.count[k] == whole and k != g and _even(f, g, k, footprint)
-            if even:
-                for corner in range(1, 4):
-                    k = np.int64(ids[top + cell * (corner >> 1), left + cell * (corner & 1)])
-                    join(f, g, k, largest)
-                    into[k] = g
+        kept[k], first[k] = -1, -1
+    for top in range(0, height, cone):
+        for left in range(0, width, cone):
+            inner = margin <= left and left + cone <= width - margin
+            inner = inner and margin <= top and top + cone <= height - margin
+            most = np.int64(-1)
+            for y in range(top, min(top + cone, height)):
+                for x in range(left, min(left + cone, width)):
+                    k = np.int64(ids[y, x])
+                    if k < 0:
+                        continue
+                    if inner:
+                        kept[k] = k
+                    elif most < 0 or f.count[k] > f.count[most]:
+                        most = k
+            if most >= 0:
+                kept[most] = most
+                for y in range(top, min(top + cone, height)):
+                    for x in range(left, min(left + cone, width)):
+                        k = np.int64(ids[y, x])
+                        if k >= 0 and first[k] < 0:
+                            first[k] = most
     groups = np.int64(0)
     for k in range(count):
-        if into[k] == k:
+        if kept[k] == k:
             if groups != k:
                 copy_fragment(f, groups, k)
-            into[k] = groups
+            kept[k] = groups
             groups += 1
-        else:
-            into[k] = into[into[k]]
     for y in range(height):
         for x in range(width):
             k = np.int64(ids[y, x])
             if k >= 0:
-                ids[y, x] = into[k]
-    for g in range(groups):
-        unit_normal(f, g)
+                ids[y, x] = kept[k] if kept[k] >= 0 else kept[first[k]]
     return groups

@@ -20,7 +20,7 @@ from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.light_sharing import REACH
 from pointmr_engine.multires.looks import look_where_seen
-from pointmr_engine.multires.merge import choose_seen, merge_even, merge_fragments
+from pointmr_engine.multires.merge import choose_seen, merge_fragments, thin_margin
 from pointmr_engine.multires.opacity_micromap import with_micromap
 from pointmr_engine.multires.slopes import COLUMNS, find_slopes
 from pointmr_engine.raytracing.integrator import Stage
@@ -46,16 +46,6 @@ def primary_settings(settings: RenderSettings, alpha: bool) -> RenderSettings:
     return replace(settings, forward=forward)
 
 
-def plain_parts(sampler) -> np.ndarray:
-    """(parts,) bool: those whose materials look the same wherever one looks."""
-    tables, plain = sampler.geometry.tables, np.zeros(len(sampler.geometry.parts), np.bool_)
-    same = np.array(["surface" not in p.varying_with for p in sampler.programs] + [True])
-    for p in range(len(plain)):
-        slots = tables.slot_material[tables.first_slot[p] : tables.first_slot[p] + tables.slots[p]]
-        plain[p] = same[slots].all()
-    return plain
-
-
 class TracedImage(Image):
     """One image of method "raytrace": everything that its tiles share."""
 
@@ -79,7 +69,6 @@ class TracedImage(Image):
         self.hardly = 0.0
         self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
-        self.plain = plain_parts(sampler)
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
         if stage.needs.lens:
             from pointmr_engine.multires.lens_tiles import split_lens
@@ -119,7 +108,7 @@ class TracedShading:
     def shade(self, space: TracedTiles, hierarchy, count: int) -> None:
         """Fill space.light[:count]; see forward.materials.FullShading."""
         paths, values = self.paths(space), space.placement_values(hierarchy)
-        paths.start_tile(space)
+        paths.start_tile(space, count)
         for first in range(0, count, BATCH):
             paths.trace(hierarchy, values, first, min(BATCH, count - first))
         paths.finish_tile(count)
@@ -176,10 +165,10 @@ class TracedTiles(Workspace):
             image.view.perspective, np.float64(image.footprint), self.fragments, np.int64(count), self.into,
             self.largest,
         )  # fmt: skip
-        if not image.views and self.cell == CELL == image.cone // 2:
-            merged = merge_even(
-                self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
-                image.view.perspective, np.float64(image.footprint), image.plain, self.fragments, np.int64(merged),
+        if image.beside:
+            merged = thin_margin(
+                self.target.ids, np.int64(self.width), np.int64(self.height),
+                np.int64(image.beside * image.subpixels), np.int64(image.cone), self.fragments, np.int64(merged),
                 self.into, self.largest,
             )  # fmt: skip
         choose_seen(

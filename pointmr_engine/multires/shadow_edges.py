@@ -71,8 +71,8 @@ class EdgePaths(FragmentPaths):
         self.open_light, self.measures = np.zeros(len(self.flat)), False  # of a lamp; while it is looked for
         self.low, self.high = np.empty((0, 0)), np.empty((0, 0))
 
-    def start_tile(self, space) -> None:
-        super().start_tile(space)
+    def start_tile(self, space, count: int) -> None:
+        super().start_tile(space, count)
         if self.low.shape != space.used.shape:
             self.low, self.high = np.empty(space.used.shape), np.empty(space.used.shape)
 

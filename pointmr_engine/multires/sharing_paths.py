@@ -8,7 +8,14 @@ from pointmr_engine.multires.light_sharing import TURN_OF_LAMPS, TURN_OF_WORLD
 from pointmr_engine.multires.lobe_view import WITHIN_LOBE
 from pointmr_engine.multires.shadow_edges import EdgePaths
 from pointmr_engine.multires.shared_light import SharedLight
-from pointmr_engine.multires.world_rays import PEER_SUMS, SUMS, count_peers, first_rays, split_repeats, wanted_rays
+from pointmr_engine.multires.world_rays import (
+    PEER_SUMS,
+    SUMS,
+    count_peers,
+    first_rays,
+    split_repeats,
+    wanted_rays,
+)
 from pointmr_engine.raytracing.integrator import NEXT
 from pointmr_engine.raytracing.lights import LAMP, WORLD
 from pointmr_engine.raytracing.paths import allocate_samples
@@ -30,8 +37,8 @@ class SharingPaths(EdgePaths):
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
         self.looked, self.unlit = 0, None  # turns to one of many lights so far, and radiance before them
 
-    def start_tile(self, space) -> None:
-        super().start_tile(space)
+    def start_tile(self, space, count: int) -> None:
+        super().start_tile(space, count)
         self.shared_light.start_tile(len(space.fragments.entry))
 
     def leave(self, then, n: int, base: int, count: int) -> None:

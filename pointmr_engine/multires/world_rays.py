@@ -16,7 +16,7 @@ from pointmr_engine.numerics.jit import uncounted
 
 # rays of a cone that sees one surface and shares with none, for each unit of deviation of what arrives, against all its
 # light; where the light of more cones becomes one, noise is least if each asks as often as the root of their number
-WORTH = 240.0
+WORTH = 120.0
 MOST = 16  # rays of a fragment
 LARGE = 0.75  # of a cone that a fragment fills, from which it begins with two rays
 DOUBT = 0.1  # rays that escaped, and as many that did not, besides those that were seen: a few that agree prove little
@@ -25,6 +25,7 @@ _OPEN, _ARRIVED, _LIGHT, _SUBPIXELS, _RAYS = range(5)
 SUMS = 5
 _NEAR, _ASKED, _NORMAL, _FACES = 0, 1, 2, 5
 PEER_SUMS = 6
+MOST_PEERS = math.pi / 2.0 * (REACH + 1.0) ** 2
 
 
 @uncounted
@@ -72,7 +73,7 @@ def count_peers(pixel, shares: Shares, first, width, turn, count, sums, peers):
             bent = max(1.0 - math.sqrt(x * x + y * y + z * z) / faces, 0.0)
             change = near / rays * width[k] + turn * math.sqrt(1.5 * bent)
             reach = ERROR * np.float64(shares.width[row]) / max(change, 1e-6)
-            peers[k] = min(1.0 + math.pi / 3.0 * reach * reach, (2.0 * REACH + 1.0) ** 2)
+            peers[k] = min(1.0 + math.pi / 3.0 * reach * reach, MOST_PEERS)
 
 
 @uncounted
