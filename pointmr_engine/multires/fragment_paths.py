@@ -68,7 +68,10 @@ def begin_numbers(fragments, subpixels, count, used):
             rest >>= 2
             bit *= 2
         if i < columns and j < rows:
-            n = used[j, i]
+            n, room = np.int64(used[j, i]), np.int64(1)
+            while room < n:
+                room *= 2
+            total = (total + room - 1) // room * room  # such runs are stratified by themselves, too
             used[j, i] = total
             total += n
 

@@ -4,7 +4,7 @@ What the world sends to a surface, and what a rough lobe sees, changes slowly al
 moves against the distance of what is met, and as the surface turns (the split-sphere model: Ward, Rubinstein, Clear
 1988, "A Ray Tracing Solution for Diffuse Interreflection"); for a lobe, against its width. So fragments within a few
 cones take the mean of what arrives at each other, as far as that model allows: all of it in the open, none of it in a
-corner or in foliage.
+corner or in foliage. Fragments of one cone that are nearly alike do so as one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TURN_OF_WORLD, TURN_OF_LAMPS, TURN_OF_LOBE = 3.0, 4.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
 # Rows of the table of what fragments tell each other, by channel or axis: what rays about them met, place and normal in
-# the world, how much they count, by channel, what arrives times that, the angle from which it does, and their cone's place.
+# the world, how much they count, by channel, what arrives times that, the angle from which it does, and their cone.
 NEARNESS, PLACE, FACING, HEARD, ARRIVED, WIDTH, AT_X, AT_Y = 0, 1, 4, 7, 10, 13, 14, 15
 COLUMNS = 16
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pointmr_engine.forward.method import Image
 from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, allocate_slopes
-from pointmr_engine.forward.tiles import TILE, Workspace
+from pointmr_engine.forward.tiles import Workspace
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
@@ -27,6 +27,7 @@ from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 SUBPIXELS = 8  # per side of a cone
+WIDTH = 128  # cones per side of a tile with its margins: larger ones shade less twice, and take more memory
 CELL = 4  # subpixels per side of the part of a cone in which fragments merge
 # samples per cone's footprint. By alpha, surfels' Gaussians are wider than their spacing already
 DENSITY, DENSITY_OF_ALPHA = 16.0, 4.0
@@ -67,7 +68,7 @@ class TracedImage(Image):
         self.cone = self.subpixels // side  # subpixels per side of a cone
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.hardly = 0.0
-        self.tile = max((TILE + 2) // side - 2 * self.apron, 2)
+        self.tile = max(WIDTH // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
         if stage.needs.lens:

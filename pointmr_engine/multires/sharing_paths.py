@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.multires.light_sharing import TURN_OF_LAMPS, TURN_OF_WORLD
+from pointmr_engine.multires.light_sharing import TURN_OF_WORLD
 from pointmr_engine.multires.lobe_view import WITHIN_LOBE
 from pointmr_engine.multires.shadow_edges import EdgePaths
 from pointmr_engine.multires.shared_light import SharedLight
@@ -33,7 +33,7 @@ class SharingPaths(EdgePaths):
         self.asks, self.begins = None, False  # lights that first surfaces ask for now; whether rays begin
         if light.shares_lobes:
             self.every = allocate_samples(2 * room)
-        self.peers = np.ones(room)  # cones that receive what a fragment's rays bring
+        self.peers = np.ones(room)  # cones that share what a fragment receives
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
         self.looked, self.unlit = 0, None  # turns to one of many lights so far, and radiance before them
 
@@ -84,7 +84,8 @@ class SharingPaths(EdgePaths):
         self.looked = 0
         arrived = (radiance[:n] - self.unlit).sum(1) + shared.received_of_lamps(self.first, n)
         asked[:n] = turns
-        self._ask_as_worth(now, shared.lamps, TURN_OF_LAMPS, arrived, self.unlit.sum(1))
+        self.peers[:n] = 1.0  # of what lamps bring, penumbras are noisy, which hardly share
+        self._ask_as_worth(arrived, self.unlit.sum(1))
         lit = np.zeros(n, np.bool_)
         lit[self.lit_rows[:m]] = True
         # in turn, for lobes are shared with one sample of a point at a time
@@ -102,16 +103,21 @@ class SharingPaths(EdgePaths):
         super()._look_at_light(now, m, None)
         self.asks = None
 
-    def _ask_as_worth(self, now, shares, turn: float, arrived, others) -> None:
-        """Raise `asked` of the batch's fragments to what they are worth, by `open_light`: world_rays.wanted_rays."""
-        n, (rows, columns) = self.count, self.space.used.shape
+    def _count_peers(self, now) -> None:
+        """Fill `peers` with how many cones share what each of the batch's fragments receives of the world."""
+        n, image, shares = self.count, self.space.image, self.shared_light.world
         self.peers[:n] = 1.0
         if len(shares.rays):
             width = now.state.width[:n] + now.state.spread[:n] * self.hits.t[:n]
             count_peers(
-                self.pixel, shares, np.int64(self.first), width.astype(np.float64), turn, np.int64(n),
-                np.empty((rows, columns, PEER_SUMS)), self.peers,
+                self.pixel, shares, np.int64(self.first), image.cone / self.space.cell * width.astype(np.float64),
+                np.float64(image.subpixels // image.cone), TURN_OF_WORLD, np.int64(n),
+                np.empty((*self.space.used.shape, PEER_SUMS)), self.peers,
             )  # fmt: skip
+
+    def _ask_as_worth(self, arrived, others) -> None:
+        """Raise `asked` of the batch's fragments to what they are worth, by `open_light`: world_rays.wanted_rays."""
+        n, (rows, columns) = self.count, self.space.used.shape
         wanted_rays(
             self.pixel, self.open_light[:n], arrived, others, self.space.fragments.count[self.first : self.first + n],
             np.float64(self.space.image.cone**2), np.float64(self.light.worth), self.peers,
@@ -130,7 +136,8 @@ class SharingPaths(EdgePaths):
         self.measures = False
         self.shared_light.count_rays(asked[:n], self.first)
         arrived, done = (radiance[:n] - before).sum(1), asked[:n].copy()
-        self._ask_as_worth(now, self.shared_light.world, TURN_OF_WORLD, arrived, before.sum(1))
+        self._count_peers(now)
+        self._ask_as_worth(arrived, before.sum(1))
         radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
         self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
         self.shared_light.take_world(radiance, before, asked[:n], self.first)

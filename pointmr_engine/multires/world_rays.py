@@ -2,7 +2,7 @@
 
 Where all rays about a fragment escape, or none does, more would say nothing new. What a fragment's own rays met must
 not decide, or those that are lucky would stop early and the mean would be wrong; nor what others of its pixel met,
-whose rays are stratified with its own.
+whose rays are stratified with its own (those of other pixels are, too, but loosely).
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def first_rays(subpixels, whole, count, asked):
 
 
 @uncounted
-def count_peers(pixel, shares: Shares, first, width, turn, count, sums, peers):
+def count_peers(pixel, shares: Shares, first, width, side, turn, count, sums, peers):
     """peers (N,) float64: the cones whose light becomes one with that of each of the fragments first..first + count.
 
     By what rays from the pixels about it met, and how normals turn there (light_sharing). pixel (N,) int64: their
-    pixels' numbers in the tile; width (N,) float64: of a cone where it meets them, metres; turn: TURN_OF_WORLD, ...;
-    sums (rows, columns, PEER_SUMS) float64 to work in.
+    pixels' numbers in the tile; width (N,) float64: of a cone where it meets them, metres; side: cones per side of a
+    pixel; turn: TURN_OF_WORLD, ...; sums (rows, columns, PEER_SUMS) float64 to work in.
     """
     rows, columns = sums.shape[0], sums.shape[1]
     sums[:] = 0.0
@@ -69,9 +69,9 @@ def count_peers(pixel, shares: Shares, first, width, turn, count, sums, peers):
                     near += sums[q, p, _NEAR]
                     rays += sums[q, p, _ASKED]
         if rays > 0.0:
-            # the mean normal is shorter than 1 by a third of the square of the angle from cone to cone
+            # the mean normal is shorter than 1 by a third of the square of the angle from pixel to pixel
             bent = max(1.0 - math.sqrt(x * x + y * y + z * z) / faces, 0.0)
-            change = near / rays * width[k] + turn * math.sqrt(1.5 * bent)
+            change = near / rays * width[k] + turn * math.sqrt(1.5 * bent) / side
             reach = ERROR * np.float64(shares.width[row]) / max(change, 1e-6)
             peers[k] = min(1.0 + math.pi / 3.0 * reach * reach, MOST_PEERS)
 
@@ -82,7 +82,8 @@ def wanted_rays(pixel, open_light, arrived, others, subpixels, whole, worth, pee
 
     pixel (N,) int64: their pixels' numbers in the tile; open_light, arrived (N,) float64: what they receive of the
     world without and with what hides it, sums of channels; others (N,): of all else so far. subpixels (N,): in which
-    each is seen, of a cone's `whole`; peers (N,) float64: see count_peers. sums (rows, columns, SUMS) float64 to work in.
+    each is seen, of a cone's `whole`; peers (N,) float64: see count_peers. sums (rows, columns, SUMS) float64 to work
+    in.
     """
     rows, columns = sums.shape[0], sums.shape[1]
     sums[:] = 0.0

@@ -53,7 +53,7 @@ def shares_of(side, rng, spacing=0.1):
 def shared(shares, x, y, side, turn=TURN_OF_WORLD):
     out = np.zeros((len(x), 3), np.float32)
     eye = np.zeros(3)
-    share_light(x, y, SUBPIXELS, REACH * SUBPIXELS, turn, shares, len(x), (side, side), eye, out)
+    share_light(x, y, SUBPIXELS, REACH, turn, shares, len(x), (side, side), eye, out)
     return out
 
 
@@ -71,6 +71,28 @@ def test_noise_falls_in_the_open():
     before = (shares.light / shares.albedo).var()
     after = (shared(shares, x, y, 16) / shares.albedo).var()
     assert after < before / 20  # 81 fragments lie within reach, fewer at the tile's edge
+
+
+def test_what_one_fragment_received_fades_with_the_distance():
+    side = 2 * REACH + 7
+    shares, x, y = shares_of(side, np.random.default_rng(3))
+    bright = len(x) // 2 + side
+    shares.light[:] = 0
+    shares.light[bright] = shares.albedo[bright]
+    got = (shared(shares, x, y, side) / shares.albedo)[:, 0]
+    cones = np.maximum(*(np.floor(abs(a // SUBPIXELS - a[bright] // SUBPIXELS)) for a in (x, y)))
+    of = [got[cones == d].mean() for d in range(REACH + 2)]
+    assert (np.diff(of[1:]) < 0).all() and of[REACH] < 0.2 * of[1]
+    assert of[REACH + 1] == 0
+
+
+def test_nearly_alike_fragments_of_a_cone_receive_the_same():
+    shares, x, y = shares_of(6, np.random.default_rng(4))
+    shares.light[:] *= np.random.default_rng(5).uniform(0.0, 2.0, (len(x), 1))
+    got = shared(shares, x, y, 6) / shares.albedo
+    cone = (y // SUBPIXELS) * 6 + x // SUBPIXELS
+    for c in np.unique(cone):
+        np.testing.assert_allclose(got[cone == c], got[cone == c][:1].repeat(4, 0), rtol=1e-5)
 
 
 def test_what_is_near_keeps_light_apart():

@@ -5,12 +5,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.multires.world_rays import MOST, SUMS, WORTH, first_rays, split_repeats, wanted_rays
+from pointmr_engine.multires.light_sharing import TURN_OF_WORLD, allocate_shares
+from pointmr_engine.multires.world_rays import (
+    MOST,
+    MOST_PEERS,
+    PEER_SUMS,
+    SUMS,
+    WORTH,
+    count_peers,
+    first_rays,
+    split_repeats,
+    wanted_rays,
+)
 
 SIDE, WHOLE = 5, 64.0
 
 
-def ask(pixel, opened, arrived, others, subpixels):
+def ask(pixel, opened, arrived, others, subpixels, peers=1.0):
     """What wanted_rays says of fragments, after the rays they begin with."""
     n = len(pixel)
     asked = np.zeros(n, np.int64)
@@ -19,7 +30,8 @@ def ask(pixel, opened, arrived, others, subpixels):
     before = asked.copy()
     wanted_rays(
         np.asarray(pixel, np.int64), np.asarray(opened, float), np.asarray(arrived, float),
-        np.asarray(others, float), subpixels, WHOLE, WORTH, n, np.empty((SIDE, SIDE, SUMS)), asked,
+        np.asarray(others, float), subpixels, WHOLE, WORTH, np.full(n, peers), n,
+        np.empty((SIDE, SIDE, SUMS)), asked,
     )  # fmt: skip
     return before, asked
 
@@ -48,6 +60,47 @@ def test_small_fragments_are_worth_less():
     _, whole = ask(pixel, opened, arrived, others, subpixels)
     _, part = ask(pixel, opened, arrived, others, subpixels // 16)
     assert (part < whole).all() and (part >= 1).all()
+
+
+def test_the_more_share_what_arrives_the_fewer_rays_each_is_worth():
+    alone, among_many = (ask(*field(0.98), peers=n)[1] for n in (1.0, 25.0))
+    assert (among_many < alone).all()
+
+
+def peers(near=0.0, angle=0.0, side=1.0, albedo=0.5):
+    """What count_peers says of the middle of a plane, one fragment a pixel, pixels 0.1 m wide.
+
+    near: of what rays met, 1 / metres; angle: radians that normals turn from pixel to pixel.
+    """
+    n, shares = SIDE * SIDE, allocate_shares(SIDE * SIDE)
+    x = np.arange(n) % SIDE * angle
+    shares.normal[:] = np.stack([np.sin(x), 0 * x, np.cos(x)], 1)
+    shares.albedo[:], shares.rays[:], shares.nearness[:], shares.width[:] = albedo, 2, 2 * near, 1
+    out = np.empty(n)
+    count_peers(
+        np.arange(n),
+        shares,
+        0,
+        np.full(n, 0.1),
+        side,
+        TURN_OF_WORLD,
+        n,
+        np.empty((SIDE, SIDE, PEER_SUMS)),
+        out,
+    )
+    return out[n // 2]
+
+
+def test_what_is_open_and_even_has_peers_and_what_is_near_or_bent_has_none():
+    assert peers() == pytest.approx(MOST_PEERS)
+    assert MOST_PEERS > peers(near=1.5) > peers(near=5.0) > peers(near=100.0)
+    assert peers(near=100.0) == pytest.approx(1.0, abs=0.01)
+    assert peers() > peers(angle=0.1) > peers(angle=0.5)
+    assert peers(albedo=0.0) == 1.0  # has nothing to share
+
+
+def test_normals_of_narrower_cones_turn_less():
+    assert peers(angle=0.1, side=2.0) > 2.0 * peers(angle=0.1)
 
 
 @given(st.data())
