@@ -27,7 +27,7 @@ from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 SUBPIXELS = 8  # per side of a cone
-WIDTH = 128  # cones per side of a tile with its margins: larger ones shade less twice, and take more memory
+WIDTH = 96  # cones per side of a tile with its margins: larger ones shade less twice, and take more memory
 CELL = 4  # subpixels per side of the part of a cone in which fragments merge
 # samples per cone's footprint. By alpha, surfels' Gaussians are wider than their spacing already
 DENSITY, DENSITY_OF_ALPHA = 16.0, 4.0
