@@ -27,6 +27,8 @@ from pointmr_engine.shading.bsdf.layout import WEIGHT
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
 BATCH = 8192
+TOGETHER = 8  # fragments of a pixel whose samples are one run
+MARGIN = 64  # pixels beyond the image that tiles may have
 PARTS = 2  # of the room for paths: so many may become of one, what its cone sees and what escapes
 FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those that do not wait any longer
 FLATNESS = 0.95  # of a piece, below which it is a clump that has no normal of its own
@@ -36,60 +38,69 @@ VEILS = 8  # transparent surfaces that a look at a clump passes at most
 
 
 @device
-def _pixel_of(f, k, subpixels, used):
+def _spread_bits(n):
+    """The lowest 14 bits of n, a zero before each."""
+    n = np.uint32(n) & np.uint32(0x3FFF)
+    n = (n | (n << np.uint32(8))) & np.uint32(0x00FF00FF)
+    n = (n | (n << np.uint32(4))) & np.uint32(0x0F0F0F0F)
+    n = (n | (n << np.uint32(2))) & np.uint32(0x33333333)
+    return (n | (n << np.uint32(1))) & np.uint32(0x55555555)
+
+
+@device
+def _pixel_of(f, k, subpixels, shape):
     """Column and row of fragment k's pixel in a tile."""
     i, j = np.int64(f.x[k]) // subpixels, np.int64(f.y[k]) // subpixels
-    return min(max(i, 0), used.shape[1] - 1), min(max(j, 0), used.shape[0] - 1)
+    return min(max(i, 0), shape[1] - 1), min(max(j, 0), shape[0] - 1)
 
 
 @uncounted
-def begin_numbers(fragments, subpixels, count, used):
-    """used (rows, columns) int32: the numbers at which each pixel's samples begin, of a tile's fragments 0..count.
-
-    They go on along a Morton curve: what lies side by side in the image has samples that are stratified together
-    (Ahmed and Wonka 2020, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering
-    of Pixels"), so that what neighbours share, and what the pixel filter averages, has less noise than of samples by
-    chance.
-    """
-    rows, columns = used.shape
-    used[:] = 0
+def count_in_pixels(fragments, subpixels, count, own):
+    """own (rows, columns) int32: how many of a tile's fragments 0..count each of its pixels has."""
+    own[:] = 0
     for k in range(count):
-        i, j = _pixel_of(fragments, k, subpixels, used)
-        used[j, i] += 1
-    side = 1
-    while side < max(rows, columns):
-        side *= 2
-    total = np.int64(0)
-    for code in range(side * side):
-        i, j, bit, rest = 0, 0, 1, code
-        while rest:
-            i |= bit * (rest & 1)
-            j |= bit * ((rest >> 1) & 1)
-            rest >>= 2
-            bit *= 2
-        if i < columns and j < rows:
-            n, room = np.int64(used[j, i]), np.int64(1)
-            while room < n:
-                room *= 2
-            total = (total + room - 1) // room * room  # such runs are stratified by themselves, too
-            used[j, i] = total
-            total += n
+        i, j = _pixel_of(fragments, k, subpixels, own.shape)
+        own[j, i] += 1
+
+
+@device
+def _curve_of(n, own):
+    """The run that number n of a pixel's `own` belongs to, its length, and the number in it.
+
+    Runs of TOGETHER, and what is left in runs of 4, 2 and 1: a power of two is stratified by itself.
+    """
+    whole = own // TOGETHER * TOGETHER
+    if n < whole:
+        return n // TOGETHER + 3, TOGETHER, n % TOGETHER
+    n -= whole
+    curve, size = 2, TOGETHER // 2
+    while own & size == 0 or n >= size:
+        n -= own & size
+        curve, size = curve - 1, size // 2
+    return curve, size, n
 
 
 @uncounted
-def number_samples(fragments, left, low, subpixels, first, count, samples, seed, used, pixel):
-    """Pixels of fragments first..first + count, and their numbers along the tile's curve, as samples 0..count.
+def number_samples(fragments, left, low, subpixels, first, count, samples, seed, own, used, pixel):
+    """Pixels of fragments first..first + count, and their seeds and numbers, as samples 0..count.
 
-    used (rows, columns) int32: the next numbers of the tile's pixels; left, low: the tile's first subpixel. pixel (N,)
-    int64: number of each one's pixel in the tile.
+    They are numbered along Morton curves through the image, on which a pixel takes as many numbers as a run of its
+    fragments has: what lies side by side has samples that are stratified together (Ahmed and Wonka 2020,
+    "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of Pixels"), so that what
+    neighbours share, and what the pixel filter averages, has less noise than of samples by chance. There is a curve for
+    each length of runs: one with regular gaps would miss the same part of its samples everywhere.
+
+    own, used (rows, columns) int32: the tile's pixels' fragments, all and so far; left, low: the tile's first subpixel.
+    pixel (N,) int64: number of each one's pixel in the tile.
     """
-    own = pixel_seed(left, low, np.int64(seed))
     for k in range(count):
-        i, j = _pixel_of(fragments, first + k, subpixels, used)
-        samples.x[k] = left // subpixels + i
-        samples.y[k] = low // subpixels + j
-        samples.number[k] = used[j, i]
-        samples.seed[k] = own
+        i, j = _pixel_of(fragments, first + k, subpixels, used.shape)
+        x, y = left // subpixels + i, low // subpixels + j
+        samples.x[k], samples.y[k] = x, y
+        along = np.int64(_spread_bits(x + MARGIN)) + 2 * np.int64(_spread_bits(y + MARGIN))
+        curve, size, number = _curve_of(np.int64(used[j, i]), np.int64(own[j, i]))
+        samples.number[k] = along * size + number
+        samples.seed[k] = pixel_seed(curve, np.int64(0), np.int64(seed))
         pixel[k] = j * used.shape[1] + i
         used[j, i] += 1
 
@@ -151,7 +162,7 @@ class FragmentPaths(Workspace):
         super().__init__(stage, n)
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
-        self.pixel = np.empty(n, np.int64)
+        self.pixel, self.in_pixel = np.empty(n, np.int64), np.empty((0, 0), np.int32)
         self.coloured = np.zeros(n, np.bool_)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
         # of all fragments whose paths are under way; self.samples: of one batch, while its first surfaces are lit
@@ -168,7 +179,10 @@ class FragmentPaths(Workspace):
     def start_tile(self, space, count: int) -> None:
         """Begin with the fragments 0..count of a tile (forward.tiles.Workspace)."""
         self.space = space
-        begin_numbers(space.fragments, np.int64(space.image.subpixels), np.int64(count), space.used)
+        if self.in_pixel.shape != space.used.shape:
+            self.in_pixel = np.empty_like(space.used)
+        count_in_pixels(space.fragments, np.int64(space.image.subpixels), np.int64(count), self.in_pixel)
+        space.used[:] = 0
         self._forget()
 
     def _forget(self) -> None:
@@ -191,7 +205,7 @@ class FragmentPaths(Workspace):
         samples.transparency[:count] = 0.0
         number_samples(
             f, np.int64(space.left), np.int64(space.low), np.int64(image.subpixels), first_, n_, samples,
-            np.int64(image.settings.seed), space.used, self.pixel,
+            np.int64(image.settings.seed), self.in_pixel, space.used, self.pixel,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
             move_to_opaque(hierarchy.cut_outs, f, first_, n_)

@@ -1,11 +1,12 @@
-"""A tile's fragments before they are shaded: their numbers along a curve, and what is left of them in its margin."""
+"""A tile's fragments before they are shaded: their samples along a curve, and what is left of them in its margin."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine.forward.fragments import allocate_fragments
-from pointmr_engine.multires.fragment_paths import begin_numbers, number_samples
+from pointmr_engine.multires.fragment_paths import count_in_pixels, number_samples
 from pointmr_engine.multires.merge import thin_margin
 from pointmr_engine.numerics.rng import sample_2d
 from pointmr_engine.numerics.sobol import sobol_tables
@@ -14,50 +15,53 @@ from pointmr_engine.raytracing.paths import allocate_samples
 SUBPIXELS = 8
 
 
-def numbers(x, y, shape, batch=None):
-    """Samples of fragments at x, y (F,), numbered `batch` at a time."""
+def numbers(x, y, shape, left=0, low=0, batch=None):
+    """Samples of fragments at x, y (F,) subpixels of a tile, numbered `batch` at a time, and pixels' numbers."""
     n = len(x)
-    f, samples, used = allocate_fragments(n), allocate_samples(n), np.empty(shape, np.int32)
-    f.x[:], f.y[:] = x, y
+    f, samples, used = allocate_fragments(n), allocate_samples(n), np.zeros(shape, np.int32)
+    own, f.x[:], f.y[:] = np.empty_like(used), x, y
     pixel, side = np.empty(n, np.int64), np.int64(SUBPIXELS)
-    begin_numbers(f, side, np.int64(n), used)
+    count_in_pixels(f, side, np.int64(n), own)
     for first in range(0, n, batch or n):
-        count = min(batch or n, n - first)
         part = type(samples)(*(a[first:] for a in samples))
         number_samples(
-            f, np.int64(-8), np.int64(16), side, np.int64(first), np.int64(count), part, np.int64(3), used,
-            pixel[first:],
+            f, np.int64(SUBPIXELS * left), np.int64(SUBPIXELS * low), side, np.int64(first),
+            np.int64(min(batch or n, n - first)), part, np.int64(3), own, used, pixel[first:],
         )  # fmt: skip
     return samples, pixel
 
 
 @settings(deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 300), st.integers(1, 50))
-def test_every_fragment_has_a_number_of_its_own_and_pixels_have_runs_of_them(seed, n, batch):
+def test_every_fragment_has_samples_of_its_own_whatever_the_tile(seed, n, batch):
     rng = np.random.default_rng(seed)
-    shape = tuple(rng.integers(1, 12, 2))
-    y, x = (rng.uniform(-SUBPIXELS, (s + 1) * SUBPIXELS, n).astype(np.float32) for s in shape)
-    samples, pixel = numbers(x, y, shape, batch)
-    assert len(np.unique(samples.number[:n])) == n
-    assert len(np.unique(samples.seed[:n])) == 1
-    for p in np.unique(pixel):
-        own = np.sort(samples.number[:n][pixel == p])
-        np.testing.assert_array_equal(own, np.arange(own[0], own[0] + len(own)))
-        assert own[0] % 2 ** int(np.ceil(np.log2(len(own)))) == 0
+    shape, left, low = tuple(rng.integers(1, 12, 2)), *rng.integers(-5, 4000, 2)
+    y, x = (rng.uniform(0, s * SUBPIXELS, n).astype(np.float32) for s in shape)
+    samples, pixel = numbers(x, y, shape, left, low, batch)
+    assert len({*zip(samples.seed.tolist(), samples.number.tolist(), strict=True)}) == n
+    # another tile that begins two pixels to the left has the same fragments
+    wider = shape[0], shape[1] + 2
+    again, _ = numbers(x + 2 * SUBPIXELS, y, wider, left - 2, low)
+    np.testing.assert_array_equal(again.number, samples.number)
+    np.testing.assert_array_equal(again.seed, samples.seed)
+    assert (samples.x == left + pixel % shape[1]).all() and (samples.y == low + pixel // shape[1]).all()
 
 
-def test_samples_of_neighbours_are_stratified_together():
-    """Each 4 x 4 pixels with one fragment each have one sample in each sixteenth of either dimension."""
-    side = 32
+@pytest.mark.parametrize(("count", "run"), [(1, 1), (4, 4), (5, 1), (6, 2), (8, 8), (24, 8), (15, 4)])
+def test_samples_of_neighbours_are_stratified_together(count, run):
+    """Squares of pixels with `count` fragments each: the samples of a run have one in each stratum of a dimension."""
+    side, tables = 16, sobol_tables()
     y, x = (SUBPIXELS * (a.ravel() + 0.5) for a in np.mgrid[:side, :side])
-    samples, _ = numbers(x, y, (side, side))
-    tables = sobol_tables()
+    samples, _ = numbers(np.tile(x, count), np.tile(y, count), (side, side))
+    own = np.arange(count * side**2).reshape(count, side, side)
+    begin = sum(size for size in (8, 4, 2, 1) if size > run and count & size) if run < 8 else count - run
+    rows, wide = own[begin : begin + run], 4 if run == 1 else 2
     u = np.array(
-        [sample_2d(tables, samples.seed[k], np.uint32(7), samples.number[k]) for k in range(side**2)]
-    )
-    blocks = u.reshape(side // 4, 4, side // 4, 4, 2).transpose(0, 2, 1, 3, 4).reshape(-1, 16, 2)
-    strata = np.sort(np.floor(16 * blocks).astype(int), axis=1)
-    assert (strata == np.arange(16)[:, None]).all()
+        [sample_2d(tables, samples.seed[k], np.uint32(7), samples.number[k]) for k in rows.ravel()]
+    ).reshape(run, side // wide, wide, side // wide, wide, 2)
+    total = run * wide**2
+    strata = np.floor(total * u.transpose(1, 3, 0, 2, 4, 5).reshape(-1, total, 2)).astype(int)
+    assert (np.sort(strata, axis=1) == np.arange(total)[:, None]).all()
 
 
 # The margin
