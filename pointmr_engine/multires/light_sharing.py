@@ -17,7 +17,7 @@ import numpy as np
 from pointmr_engine.numerics.jit import device, summed, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
-REACH = 5  # cones: how far apart fragments share
+REACH, REACH_OF_LOBE = 5, 2  # cones: how far apart fragments share
 NEIGHBOURHOOD = 2  # cones: how far apart what rays met tells how near things are
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
 ALIKE = 0.2  # of it: fragments of a cone that differ by less receive the same
@@ -130,16 +130,19 @@ def count_near(source, triangle, t, count, first, shares):
 
 
 @uncounted
-def count_blocked(source, triangle, t, width, count, first, shares):
+def count_blocked(source, triangle, t, far, width, count, first, shares):
     """Count the shadow rays 0..count of fragments first + source: how fast their light changes along the surface.
 
-    width (N,) float64 by source: angle from which it comes, against a hemisphere's.
+    far (N,) float64: how far away the lights are; width (N,) float64 by source: angle from which light comes, against a
+    hemisphere's.
     """
     for i in range(count):
         k = np.int64(source[i])
         shares.rays[first + k] += np.float32(1)
         if triangle[i] != -1 and t[i] > 0.0:
             shares.nearness[first + k] += np.float32(shares.width[first + k] / (t[i] * width[k]))
+        elif far[i] > 0.0:  # what arrives falls off with the distance
+            shares.nearness[first + k] += np.float32(1.0 / far[i])
 
 
 @uncounted

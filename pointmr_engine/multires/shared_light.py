@@ -10,6 +10,7 @@ import numpy as np
 
 from pointmr_engine.multires.light_sharing import (
     REACH,
+    REACH_OF_LOBE,
     TURN_OF_LAMPS,
     TURN_OF_LOBE,
     TURN_OF_WORLD,
@@ -93,7 +94,9 @@ class SharedLight:
             if not len(shares.rays):
                 continue
             if counts:
-                count_blocked(shadows.source, hits.triangle, hits.t, self.lamp_width, n, at, shares)
+                count_blocked(
+                    shadows.source, hits.triangle, hits.t, shadows.rays.t_max, self.lamp_width, n, at, shares
+                )
             take_reflected(shadows.light, part, shadows.source, hits.triangle, n, at, shares)
 
     def received_of_lamps(self, first: int, n: int) -> np.ndarray:
@@ -140,11 +143,12 @@ class SharedLight:
         f, image = space.fragments, space.image
         side = image.subpixels // image.cone
         shape = tuple(side * n for n in space.used.shape)
-        for turn, shares in (
-            (TURN_OF_WORLD, self.world), (TURN_OF_LAMPS, self.lamps), (TURN_OF_LOBE, self.lobes)
+        for turn, reach, shares in (
+            (TURN_OF_WORLD, REACH, self.world), (TURN_OF_LAMPS, REACH, self.lamps),
+            (TURN_OF_LOBE, REACH_OF_LOBE, self.lobes),
         ):  # fmt: skip
             if len(shares.rays):
                 eye = image.camera.world_from_camera[:, 3] if image.view.perspective else shares.position[0]
                 share_light(
-                    f.x, f.y, image.cone, REACH, turn, shares, count, shape, eye, space.light
+                    f.x, f.y, image.cone, reach, turn, shares, count, shape, eye, space.light
                 )  # fmt: skip

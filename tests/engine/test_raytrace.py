@@ -129,7 +129,7 @@ def part_and_whole(scene, cache, **settings) -> tuple[np.ndarray, np.ndarray]:
 def test_a_region_is_a_part_of_the_whole():
     floor = lit_floor(quad(1.0, 1.0, principled("dull", specular_ior_level=0.0)), world=uniform_world())
     # at a tile's border fewer neighbours say how many rays are worth it
-    np.testing.assert_allclose(*part_and_whole(floor, Cache()), rtol=0.01)
+    np.testing.assert_allclose(*part_and_whole(floor, Cache()), rtol=0.02)
 
 
 def test_a_region_of_what_is_left_to_chance_differs_by_no_more_than_noise():
