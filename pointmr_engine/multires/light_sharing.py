@@ -17,7 +17,7 @@ import numpy as np
 from pointmr_engine.numerics.jit import device, summed, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
-REACH, REACH_OF_LOBE = 5, 2  # cones: how far apart fragments share
+REACH, REACH_OF_LOBE = 5, 3  # cones: how far apart fragments share
 NEIGHBOURHOOD = 2  # cones: how far apart what rays met tells how near things are
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
 ALIKE = 0.2  # of it: fragments of a cone that differ by less receive the same
