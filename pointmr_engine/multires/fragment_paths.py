@@ -27,7 +27,9 @@ from pointmr_engine.shading.bsdf.layout import WEIGHT
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
 BATCH = 8192
-TOGETHER = 8  # fragments of a pixel whose samples are one run
+TOGETHER = 8  # fragments for each cone of a pixel whose samples are one run
+MOST_NUMBER = (1 << 31) - 1
+WHOLE_RUNS = 32  # first of the curves of whole runs
 MARGIN = 64  # pixels beyond the image that tiles may have
 PARTS = 2  # of the room for paths: so many may become of one, what its cone sees and what escapes
 FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those that do not wait any longer
@@ -64,42 +66,45 @@ def count_in_pixels(fragments, subpixels, count, own):
 
 
 @device
-def _curve_of(n, own):
+def _curve_of(n, own, together):
     """The run that number n of a pixel's `own` belongs to, its length, and the number in it.
 
-    Runs of TOGETHER, and what is left in runs of 4, 2 and 1: a power of two is stratified by itself.
+    Runs of `together`, and what is left in runs of smaller powers of two: each is stratified by itself.
     """
-    whole = own // TOGETHER * TOGETHER
+    whole = own // together * together
     if n < whole:
-        return n // TOGETHER + 3, TOGETHER, n % TOGETHER
+        return WHOLE_RUNS + n // together, together, n % together
     n -= whole
-    curve, size = 2, TOGETHER // 2
+    curve, size = np.int64(0), together // 2
     while own & size == 0 or n >= size:
         n -= own & size
-        curve, size = curve - 1, size // 2
+        curve, size = curve + 1, size // 2
     return curve, size, n
 
 
 @uncounted
-def number_samples(fragments, left, low, subpixels, first, count, samples, seed, own, used, pixel):
+def number_samples(
+    fragments, left, low, subpixels, together, first, count, samples, seed, own, used, pixel
+):  # fmt: skip
     """Pixels of fragments first..first + count, and their seeds and numbers, as samples 0..count.
 
     They are numbered along Morton curves through the image, on which a pixel takes as many numbers as a run of its
     fragments has: what lies side by side has samples that are stratified together (Ahmed and Wonka 2020,
     "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of Pixels"), so that what
     neighbours share, and what the pixel filter averages, has less noise than of samples by chance. There is a curve for
-    each length of runs: one with regular gaps would miss the same part of its samples everywhere.
+    each length of runs: one with regular gaps would miss the same part of its samples everywhere. Pixels that are
+    thousands apart may have the same numbers.
 
-    own, used (rows, columns) int32: the tile's pixels' fragments, all and so far; left, low: the tile's first subpixel.
-    pixel (N,) int64: number of each one's pixel in the tile.
+    together: the longest run, a power of two; own, used (rows, columns) int32: the tile's pixels' fragments, all and so
+    far; left, low: the tile's first subpixel. pixel (N,) int64: number of each one's pixel in the tile.
     """
     for k in range(count):
         i, j = _pixel_of(fragments, first + k, subpixels, used.shape)
         x, y = left // subpixels + i, low // subpixels + j
         samples.x[k], samples.y[k] = x, y
         along = np.int64(_spread_bits(x + MARGIN)) + 2 * np.int64(_spread_bits(y + MARGIN))
-        curve, size, number = _curve_of(np.int64(used[j, i]), np.int64(own[j, i]))
-        samples.number[k] = along * size + number
+        curve, size, number = _curve_of(np.int64(used[j, i]), np.int64(own[j, i]), together)
+        samples.number[k] = (along * size + number) & MOST_NUMBER
         samples.seed[k] = pixel_seed(curve, np.int64(0), np.int64(seed))
         pixel[k] = j * used.shape[1] + i
         used[j, i] += 1
@@ -204,7 +209,8 @@ class FragmentPaths(Workspace):
         samples.radiance[:count] = 0.0
         samples.transparency[:count] = 0.0
         number_samples(
-            f, np.int64(space.left), np.int64(space.low), np.int64(image.subpixels), first_, n_, samples,
+            f, np.int64(space.left), np.int64(space.low), np.int64(image.subpixels),
+            np.int64(TOGETHER * (image.subpixels // image.cone) ** 2), first_, n_, samples,
             np.int64(image.settings.seed), self.in_pixel, space.used, self.pixel,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):

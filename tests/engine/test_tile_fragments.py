@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine.forward.fragments import allocate_fragments
-from pointmr_engine.multires.fragment_paths import count_in_pixels, number_samples
+from pointmr_engine.multires.fragment_paths import TOGETHER, count_in_pixels, number_samples
 from pointmr_engine.multires.merge import thin_margin
 from pointmr_engine.numerics.rng import sample_2d
 from pointmr_engine.numerics.sobol import sobol_tables
@@ -25,7 +25,8 @@ def numbers(x, y, shape, left=0, low=0, batch=None):
     for first in range(0, n, batch or n):
         part = type(samples)(*(a[first:] for a in samples))
         number_samples(
-            f, np.int64(SUBPIXELS * left), np.int64(SUBPIXELS * low), side, np.int64(first),
+            f, np.int64(SUBPIXELS * left), np.int64(SUBPIXELS * low), side, np.int64(TOGETHER),
+            np.int64(first),
             np.int64(min(batch or n, n - first)), part, np.int64(3), own, used, pixel[first:],
         )  # fmt: skip
     return samples, pixel
