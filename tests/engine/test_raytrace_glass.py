@@ -108,8 +108,8 @@ def test_metal_beside_what_is_sharp_keeps_its_highlights(count, material):
     scene = Scene(
         Group("root", [ball(material), floor(roughness=0.25, metallic=1.0)]), CAMERA, lamps(count), DARK
     )
-    exact, ours = exact_and_ours(scene, 6)
-    assert ours[FLOOR].mean() == pytest.approx(exact[FLOOR].mean(), rel=0.08)
+    exact, ours = exact_and_ours(scene, 16)  # each is off by a sixth
+    assert ours[FLOOR].mean() == pytest.approx(exact[FLOOR].mean(), rel=0.1)
 
 
 @pytest.mark.parametrize(("roughness", "points"), [(0.15, 0), (0.25, 0), (0.15, 1)])
