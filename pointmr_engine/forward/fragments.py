@@ -103,6 +103,13 @@ def is_clump(f: Fragments, k):
 
 
 @device
+def cell_at(x, y, subpixels, shape):
+    """Column and row of the cell of `subpixels` a side that holds a place, or is next to it, in a tile of `shape`."""
+    i, j = np.int64(x) // subpixels, np.int64(y) // subpixels
+    return min(max(i, 0), shape[1] - 1), min(max(j, 0), shape[0] - 1)
+
+
+@device
 def ray_through(view, x, y):
     """Camera-space direction (perspective, z = 1) or place (orthographic) of a point of the whole image, in
     subpixels."""

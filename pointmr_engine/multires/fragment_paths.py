@@ -12,6 +12,7 @@ import numpy as np
 
 from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
+from pointmr_engine.forward.fragments import cell_at
 from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.curvature import mean_normals, spread_of_curvature
@@ -49,19 +50,12 @@ def _spread_bits(n):
     return (n | (n << np.uint32(1))) & np.uint32(0x55555555)
 
 
-@device
-def _pixel_of(f, k, subpixels, shape):
-    """Column and row of fragment k's pixel in a tile."""
-    i, j = np.int64(f.x[k]) // subpixels, np.int64(f.y[k]) // subpixels
-    return min(max(i, 0), shape[1] - 1), min(max(j, 0), shape[0] - 1)
-
-
 @uncounted
 def count_in_pixels(fragments, subpixels, count, own):
     """own (rows, columns) int32: how many of a tile's fragments 0..count each of its pixels has."""
     own[:] = 0
     for k in range(count):
-        i, j = _pixel_of(fragments, k, subpixels, own.shape)
+        i, j = cell_at(fragments.x[k], fragments.y[k], subpixels, own.shape)
         own[j, i] += 1
 
 
@@ -99,7 +93,7 @@ def number_samples(
     far; left, low: the tile's first subpixel. pixel (N,) int64: number of each one's pixel in the tile.
     """
     for k in range(count):
-        i, j = _pixel_of(fragments, first + k, subpixels, used.shape)
+        i, j = cell_at(fragments.x[first + k], fragments.y[first + k], subpixels, used.shape)
         x, y = left // subpixels + i, low // subpixels + j
         samples.x[k], samples.y[k] = x, y
         along = np.int64(_spread_bits(x + MARGIN)) + 2 * np.int64(_spread_bits(y + MARGIN))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.forward.fragments import cell_at
 from pointmr_engine.numerics.jit import device, summed, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
@@ -179,7 +180,7 @@ def _by_cone(x, y, subpixels, shares, count, start, order):
     start[:] = 0
     for k in range(count):
         if _shares(shares, k):
-            i, j = _cone_of(x[k], y[k], subpixels, rows, columns)
+            i, j = cell_at(x[k], y[k], subpixels, (rows, columns))
             start[j, i] += 1
     total = 0
     for j in range(rows):
@@ -188,16 +189,10 @@ def _by_cone(x, y, subpixels, shares, count, start, order):
             start[j, i] = total
     for k in range(count - 1, -1, -1):
         if _shares(shares, k):
-            i, j = _cone_of(x[k], y[k], subpixels, rows, columns)
+            i, j = cell_at(x[k], y[k], subpixels, (rows, columns))
             start[j, i] -= 1
             order[start[j, i]] = k
     return total
-
-
-@device
-def _cone_of(x, y, subpixels, rows, columns):
-    i, j = np.int64(x) // subpixels, np.int64(y) // subpixels
-    return min(max(i, 0), columns - 1), min(max(j, 0), rows - 1)
 
 
 @uncounted
