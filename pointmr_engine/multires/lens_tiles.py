@@ -28,7 +28,7 @@ from pointmr_engine.forward.walk import WAITING, Scratch, walk
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
 from pointmr_engine.multires.looks import look_through_lens
-from pointmr_engine.multires.merge import choose_seen, copy_fragment, join, mergeable, unit_normal
+from pointmr_engine.multires.merge import choose_seen, copy_fragment, join, mergeable, renumber, unit_normal
 from pointmr_engine.multires.method import TracedShading, TracedTiles
 from pointmr_engine.numerics.dither import SIDE
 from pointmr_engine.numerics.jit import uncounted
@@ -98,16 +98,6 @@ def merge_views(
     for n in range(groups):
         unit_normal(f, kept[n])
     return groups
-
-
-@uncounted
-def renumber(ids, width, height, into):
-    """ids of a tile: what each fragment is part of."""
-    for y in range(height):
-        for x in range(width):
-            k = np.int64(ids[y, x])
-            if k >= 0:
-                ids[y, x] = into[k]
 
 
 class LensShading(TracedShading):

@@ -151,14 +151,15 @@ def take_reflected(light, part, source, triangle, count, first, shares):
     """Move `part` (N, 3) of the light of shadow rays 0..count that nothing stops to the fragments that share it."""
     for i in range(count):
         row = first + np.int64(source[i])
-        if triangle[i] == -1 and _shares(shares, row):
+        if triangle[i] == -1 and has_to_share(shares, row):
             for c in range(3):
                 shares.light[row, c] += part[i, c]
                 light[i, c] -= part[i, c]
 
 
 @device
-def _shares(shares, k):
+def has_to_share(shares: Shares, k):
+    """Whether fragment k shares what it receives."""
     return max(shares.albedo[k, 0], shares.albedo[k, 1], shares.albedo[k, 2]) > 0.0
 
 
@@ -167,7 +168,7 @@ def take_light(radiance, before, first, count, shares):
     """Move what radiance (N, 3) has gained since `before` to the fragments first..first + count that share."""
     for k in range(count):
         row = first + k
-        if _shares(shares, row):
+        if has_to_share(shares, row):
             for c in range(3):
                 shares.light[row, c] += radiance[k, c] - before[k, c]
                 radiance[k, c] = before[k, c]
@@ -179,7 +180,7 @@ def _by_cone(x, y, subpixels, shares, count, start, order):
     rows, columns = start.shape[0], start.shape[1] - 1
     start[:] = 0
     for k in range(count):
-        if _shares(shares, k):
+        if has_to_share(shares, k):
             i, j = cell_at(x[k], y[k], subpixels, (rows, columns))
             start[j, i] += 1
     total = 0
@@ -188,7 +189,7 @@ def _by_cone(x, y, subpixels, shares, count, start, order):
             total += start[j, i]
             start[j, i] = total
     for k in range(count - 1, -1, -1):
-        if _shares(shares, k):
+        if has_to_share(shares, k):
             i, j = cell_at(x[k], y[k], subpixels, (rows, columns))
             start[j, i] -= 1
             order[start[j, i]] = k

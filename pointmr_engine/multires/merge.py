@@ -86,6 +86,16 @@ def unit_normal(f: Fragments, g):
 
 
 @uncounted
+def renumber(ids, width, height, into):
+    """ids of a tile: what each fragment is part of."""
+    for y in range(height):
+        for x in range(width):
+            k = np.int64(ids[y, x])
+            if k >= 0:
+                ids[y, x] = into[k]
+
+
+@uncounted
 def choose_seen(ids, width, height, left, low, count, times, seen):
     """seen (F, 2) int32: one of the subpixels that show each fragment 0..count of a tile, by a hash of its place.
 
@@ -141,11 +151,7 @@ def merge_fragments(
                         largest[groups] = f.count[groups]
                         into[k] = groups
                         groups += 1
-    for y in range(height):
-        for x in range(width):
-            k = np.int64(ids[y, x])
-            if k >= 0:
-                ids[y, x] = into[k]
+    renumber(ids, width, height, into)
     for g in range(groups):
         unit_normal(f, g)
     return groups
@@ -189,9 +195,8 @@ def thin_margin(ids, width, height, margin, cone, fragments: Fragments, count, k
                 copy_fragment(f, groups, k)
             kept[k] = groups
             groups += 1
-    for y in range(height):
-        for x in range(width):
-            k = np.int64(ids[y, x])
-            if k >= 0:
-                ids[y, x] = kept[k] if kept[k] >= 0 else kept[first[k]]
+    for k in range(count):
+        if kept[k] < 0 <= first[k]:
+            kept[k] = kept[first[k]]
+    renumber(ids, width, height, kept)
     return groups

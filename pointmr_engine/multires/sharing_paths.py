@@ -121,8 +121,7 @@ class SharingPaths(EdgePaths):
         wanted_rays(
             self.pixel, self.open_light[:n], arrived, others, self.space.fragments.count[self.first : self.first + n],
             np.float64(self.space.image.cone**2), np.float64(self.light.worth), self.peers,
-            np.int64(n),
-            np.empty((rows, columns, SUMS)), self.asked,
+            np.int64(n), np.empty((rows, columns, SUMS)), self.asked,
         )  # fmt: skip
 
     def _look_as_worth(self, now, lit, kept) -> None:

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.light_sharing import ERROR, REACH, Shares
+from pointmr_engine.multires.light_sharing import ERROR, REACH, Shares, has_to_share
 from pointmr_engine.numerics.jit import uncounted
 
 # rays of a cone that sees one surface and shares with none, for each unit of deviation of what arrives, against all its
@@ -48,7 +48,7 @@ def count_peers(pixel, shares: Shares, first, width, side, turn, count, sums, pe
     for k in range(count):
         j, i, row = pixel[k] // columns, pixel[k] % columns, first + k
         peers[k] = 1.0
-        if max(shares.albedo[row, 0], shares.albedo[row, 1], shares.albedo[row, 2]) > 0.0:
+        if has_to_share(shares, row):
             sums[j, i, _NEAR] += np.float64(shares.nearness[row])
             sums[j, i, _ASKED] += np.float64(shares.rays[row])
             for c in range(3):
@@ -56,7 +56,7 @@ def count_peers(pixel, shares: Shares, first, width, side, turn, count, sums, pe
             sums[j, i, _FACES] += 1.0
     for k in range(count):
         j, i, row = pixel[k] // columns, pixel[k] % columns, first + k
-        if not max(shares.albedo[row, 0], shares.albedo[row, 1], shares.albedo[row, 2]) > 0.0:
+        if not has_to_share(shares, row):
             continue
         near, rays, x, y, z, faces = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for q in range(max(j - 1, 0), min(j + 2, rows)):
