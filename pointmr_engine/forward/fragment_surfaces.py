@@ -14,20 +14,24 @@ from pointmr_engine.forward.transforms import Transforms
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import HOLDOUT
 
+NO_EYES = np.empty((0, 2))  # all fragments are seen from the lens' centre
+
 
 @uncounted
 def place_fragments(view, pixel, world_from_camera, octree, tables, transforms: Transforms, fragments: Fragments, first,
-                    count, rays, hits, width):  # fmt: skip
+                    eyes, count, rays, hits, width):  # fmt: skip
     """Rays and hits 0..count of fragments first..first + count: as if a camera ray had met each.
 
     view: of the image; pixel: the width of a pixel, at distance 1 along the view axis or in metres (orthographic);
     width (N,) float32: the pixel's footprint there, metres. octree: OctreeArrays; tables: PartTables;
-    transforms: the tile's.
+    transforms: the tile's; eyes (F, 2) float64: points of the lens that see the fragments, or of none: its centre.
     """
     c, matrix = world_from_camera, transforms.matrix
     for k in range(count):
         f = first + k
         x, y, z = fragments.position[f, 0], fragments.position[f, 1], fragments.position[f, 2]
+        if len(eyes) > 0:
+            x, y = x - eyes[f, 0], y - eyes[f, 1]
         if view.perspective:
             far = math.sqrt(x * x + y * y + z * z)
             inverse = 1.0 / far if far > 0.0 else 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
-from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
+from pointmr_engine.forward.fragment_surfaces import NO_EYES, place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import finish, open_clear, shade_lamps, shade_world, widen_by_normals
 from pointmr_engine.forward.placement_values import NEEDS
 from pointmr_engine.raytracing.camera import window_coordinates
@@ -73,7 +73,7 @@ class FullShading:
         to_world = image.camera.world_from_camera
         place_fragments(
             image.view, image.pixel, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f, first_,
-            n_, own.rays, own.hits, own.state.width,
+            NO_EYES, n_, own.rays, own.hits, own.state.width,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
             narrow_looks(hierarchy.cut_outs, f, first_, n_, own.state.width)

@@ -212,7 +212,7 @@ class FragmentPaths(Workspace):
         to_world = image.camera.world_from_camera
         place_fragments(
             image.view, image.footprint, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f,
-            first_, n_, now.rays, hits, now.state.width,
+            first_, space.eyes, n_, now.rays, hits, now.state.width,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
             narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 
 from pointmr_engine.forward.baking import materials_of
@@ -17,6 +15,7 @@ from pointmr_engine.forward.fragments import (
 )
 from pointmr_engine.forward.leaks import close_leaks
 from pointmr_engine.forward.method import depth_range
+from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, allocate_slopes, filter_tile
 from pointmr_engine.forward.placement_values import (
     PlacementValues,
     allocate_placement_values,
@@ -25,18 +24,17 @@ from pointmr_engine.forward.placement_values import (
 from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, thresholds
 from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import WAITING, Scratch, walk
-from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
+from pointmr_engine.multires.lens_merge import MIXED, ROW, VIEW, light_where_seen, merge_views
 from pointmr_engine.multires.looks import look_through_lens
-from pointmr_engine.multires.merge import choose_seen, copy_fragment, join, mergeable, renumber, unit_normal
-from pointmr_engine.multires.method import TracedShading, TracedTiles
+from pointmr_engine.multires.merge import choose_seen, renumber
+from pointmr_engine.multires.method import TracedTiles
+from pointmr_engine.multires.slopes import COLUMNS, find_slopes_by_key
 from pointmr_engine.numerics.dither import SIDE
 from pointmr_engine.numerics.jit import uncounted
-from pointmr_engine.numerics.rng import pixel_seed
 from pointmr_engine.scene.group import CAMERA
 
-VIEW = 33  # first bit of the view in a fragment's key
-MIXED = 2.0  # pixels: circles of confusion from this size on are shaded in larger cells
+BLURRED = 2.0  # pixels: circles of confusion from this size on are shaded in larger cells
 
 
 @uncounted
@@ -54,75 +52,6 @@ def deal_out(ids, width, height, side, column, row, first, subpixels, out, empty
                 empty[(y * side + row) // subpixels, (x * side + column) // subpixels] += 1
 
 
-@uncounted
-def merge_views(
-    order, key, perspective, footprint, f: Fragments, count, into, largest, kept, left, low, seed
-):
-    """Merge fragments 0..count that have the same key and continue each other's surface; returns how many are left.
-
-    order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share. There one
-    of them represents all, by chance, for what is sharp must not be asked in the same places always. The merged ones
-    take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of. left,
-    low: the tile's first subpixel.
-    """
-    groups, first, last = np.int64(0), np.int64(0), np.int64(-1)
-    for n in range(count):
-        k = order[n]
-        if n == 0 or key[k] != last:
-            last = key[k]
-            first = groups
-        size = footprint
-        if perspective:
-            size = footprint * f.position[k, 2]
-        found = np.int64(-1)
-        for g in range(first, groups):
-            if mergeable(f, kept[g], k, size):
-                found = g
-                break
-        if found >= 0:
-            g = kept[found]
-            if key[k] >> VIEW == 0:
-                join(f, g, k, largest)
-            else:
-                seen = f.count[g] + f.count[k]
-                h = pixel_seed(np.int64(4.0 * (left + f.x[k])), np.int64(4.0 * (low + f.y[k])), seed)
-                if np.int64(h) * seen < np.int64(f.count[k]) << 32:
-                    copy_fragment(f, g, k)
-                f.count[g] = seen
-            into[k] = found
-        else:
-            kept[groups] = k
-            largest[k] = f.count[k]
-            into[k] = groups
-            groups += 1
-    for n in range(groups):
-        unit_normal(f, kept[n])
-    return groups
-
-
-class LensShading(TracedShading):
-    """Light of fragments that the views share, seen from the lens' centre, and of those of single views."""
-
-    def shade(self, space: LensTiles, hierarchy, count: int) -> None:
-        image, f = self.image, space.fragments
-        paths, values = self.paths(space), space.placement_values(hierarchy)
-        paths.start_tile(space, count)
-        matrix = space.scratch.transforms.matrix
-        for start, stop, k in space.parts:
-            space.image = image.seen[k] if k >= 0 else image
-            if k >= 0:  # into the view's own camera space, and back
-                shift, rows = np.array([image.views[k].x, image.views[k].y]), slice(*space.rows_of[k])
-                f.position[start:stop, :2] -= shift
-                matrix[rows, 3:8:4] -= shift
-            for first in range(start, stop, BATCH):
-                paths.trace(hierarchy, values, first, min(BATCH, stop - first))
-            if k >= 0:
-                f.position[start:stop, :2] += shift
-                matrix[rows, 3:8:4] += shift
-        space.image = image
-        paths.finish_tile(count)
-
-
 def split_lens(image) -> None:
     """Have an image (multires.method.TracedImage) drawn through its lens, if anything is out of focus."""
     octree = image.sampler.octree
@@ -138,12 +67,7 @@ def split_lens(image) -> None:
     image.side = side
     image.lens_rays = lens_rays(image.views)
     image.sharpest = sharpest(image.sampler.programs)
-    image.seen = []
-    for view in image.views:
-        image.seen.append(copy.copy(image))
-        image.seen[-1].camera = view.camera
     image.space_of = LensTiles
-    image.shading = LensShading(image)
 
 
 class LensTiles(TracedTiles):
@@ -164,10 +88,13 @@ class LensTiles(TracedTiles):
         self.shown = np.empty((n, 2), np.int32)
         self.of_view = np.empty(n, np.int32)
         self.kept = np.empty(n, np.int64)
+        self.own_ids = np.empty_like(self.target.ids)  # before fragments merge
+        self.own_light = np.empty((n, 3), np.float32)
         self.own_values = allocate_placement_values(0)
         side = len(self.background)
         self.open, self.open_in_view = np.zeros((side, side), np.int32), np.zeros((side, side), np.int32)
         self.sky = np.zeros((side, side, 3))
+        self.ones = np.ones_like(self.background)
         self.gaps = np.zeros((len(self.part.ids) + 1,) * 2, np.uint8)
 
     def draw(self, bounds, hierarchy):
@@ -178,7 +105,6 @@ class LensTiles(TracedTiles):
         waiting = counters[WAITING]
         self.count = 0
         self.scratch.used[1] = 0
-        self.rows_of: list = []  # of each view, in the transforms
         self.open[:], self.sky[:] = 0, 0.0
         x, y, width, height = self.left // v, self.low // v, self.width // v, self.height // v
         for k, seen in enumerate(image.views):
@@ -266,7 +192,6 @@ class LensTiles(TracedTiles):
         matrix[:, 3] += seen.x
         matrix[:, 7] += seen.y
         kept.used[1] = last
-        self.rows_of.append((first, last))
 
     def placement_values(self, hierarchy) -> PlacementValues:
         return self.placed
@@ -285,17 +210,23 @@ class LensTiles(TracedTiles):
         alone = image.sharpest[material] < wide if view.perspective else np.zeros(n, np.bool_)
         # cells as without a lens; twice as large where every pixel mixes many of them
         blur = 2.0 * lens[0] * np.abs(1.0 / z - 1.0 / lens[1] if view.perspective else 1.0 - z / lens[1])
-        mixed = alone | (blur * abs(view.scale_y) > MIXED * image.subpixels)
+        mixed = blur * abs(view.scale_y) > BLURRED * image.subpixels
         cell = np.where(mixed, 2 * self.cell, self.cell)
-        last = 1 << 15  # what lies far outside the tile is in the last cells
+        cell[alone] = 2 * max(self.cell, image.side)  # of which a view has two subpixels a side
+        last = 1 << (ROW - 1)  # what lies far outside the tile is in the last cells
         i, j = (np.clip(a[:n] // cell, -last, last - 1).astype(np.int64) + last for a in (f.x, f.y))
         view_of = np.where(alone, self.of_view[:n].astype(np.int64) + 1, 0)
-        key = (view_of << VIEW) + (mixed.astype(np.int64) << 32) + (j << 16) + i
+        key = (view_of << VIEW) + (mixed.astype(np.int64) << MIXED) + (j << ROW) + i
         order = np.argsort(key, kind="stable")
+        self.own_place = f.x[:n].copy(), f.y[:n].copy()
+        self.own_ids[: self.height, : self.width] = self.target.ids[: self.height, : self.width]
+        self.times = np.empty(n, np.float32)
         count = merge_views(
             order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.largest,
-            self.kept, np.int64(self.left), np.int64(self.low), np.int64(image.settings.seed),
+            self.kept, np.empty(n, np.int64), self.times, np.int64(self.left), np.int64(self.low),
+            np.int64(image.settings.seed),
         )  # fmt: skip
+        self.key = key[self.kept[:count]]
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
         choose_seen(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
@@ -304,10 +235,40 @@ class LensTiles(TracedTiles):
         chosen = self.kept[:count]
         for old, new in zip(f, self.fragments, strict=True):
             new[:count] = old[chosen]
-        of, start = np.unique(key[chosen] >> VIEW, return_index=True)
-        stop = [*start[1:].tolist(), count][: len(of)]
-        self.parts = list(zip(start.tolist(), stop, (of - 1).tolist(), strict=True))
+        points = np.array([(0.0, 0.0), *((v.x, v.y) for v in image.views)])
+        self.eyes = points[self.key >> VIEW]
         return count
+
+    def _slopes(self, count: int) -> Slopes:
+        """Of what views share; what each asks for itself shows its light where it was asked."""
+        image, slopes = self.image, allocate_slopes(count)
+        shared = self.key[self.key >> VIEW == 0]
+        n = len(shared)
+        half = np.where(shared >> MIXED & 1, self.cell, 0.5 * self.cell).astype(np.float32)
+        find_slopes_by_key(
+            shared, np.int64(1), np.int64(1 << ROW), image.view.perspective, np.float64(image.footprint),
+            self.fragments, self.light, half, np.empty((n, COLUMNS), np.float32), slopes,
+        )  # fmt: skip
+        slopes.x[n:], slopes.y[n:] = 0.0, 0.0
+        return slopes
+
+    def _filtered(self, values, background, rows: int, columns: int) -> np.ndarray:
+        """Of what the views saw before it merged, at its own places; see Workspace._filtered."""
+        slopes = self.slopes if values is self.light else NO_SLOPES
+        out = self._filter_own(values, slopes, background, rows, columns)
+        out[:, :, :3] /= self._filter_own(np.ones_like(values), NO_SLOPES, self.ones, rows, columns)[:, :, :1]
+        return out
+
+    def _filter_own(self, values, slopes: Slopes, background, rows: int, columns: int) -> np.ndarray:
+        """(rows, columns, 4) float32: values (F, 3) of the merged fragments as often as they count."""
+        image, (x, y) = self.image, self.own_place
+        light_where_seen(x, y, self.into, self.times, values, self.fragments, slopes, self.own_light)
+        out = np.empty((rows, columns, 4), np.float32)
+        filter_tile(
+            self.own_ids, np.int64(self.width), np.int64(self.height), np.int64(image.subpixels), self.own_light,
+            background, image.taps, self.sums, self.line, out, self.fragments, NO_SLOPES,
+        )  # fmt: skip
+        return out
 
     def look(self, first: int, rows: np.ndarray, direction: np.ndarray, rays) -> None:
         image = self.image

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointmr_engine.forward.fragment_surfaces import NO_EYES
 from pointmr_engine.forward.method import Image
 from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, allocate_slopes
 from pointmr_engine.forward.tiles import Workspace
@@ -131,6 +132,7 @@ class TracedTiles(Workspace):
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
         self.seen = np.empty((n, 2), np.int32)
+        self.eyes = NO_EYES  # that see the fragments
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)
 

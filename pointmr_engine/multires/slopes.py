@@ -93,3 +93,22 @@ def find_slopes(ids, width, height, cell, perspective, pixel, fragments, light, 
                 _compare(f, light, a, b, footprint, perspective, sums)
     for k in range(count):
         _solve(sums, light, k, np.float32(0.5 * cell), out)
+
+
+@uncounted
+def find_slopes_by_key(key, right, above, perspective, pixel, fragments, light, half, sums, out: Slopes):
+    """Slopes of the light (F, 3) of fragments that lie in cells of which each has a key.
+
+    key (N,) int64, sorted: of fragment k; right, above: what the cell beside and above has more; half (N,) float32: of
+    a cell's width, subpixels; others: find_slopes.
+    """
+    f, footprint, count = fragments, APART * pixel, len(key)
+    sums[:] = np.float32(0)
+    for k in range(count):
+        for step in (right, above):
+            for other in range(np.searchsorted(key, key[k] + step), count):
+                if key[other] != key[k] + step:
+                    break
+                _compare(f, light, k, other, footprint, perspective, sums)
+    for k in range(count):
+        _solve(sums, light, k, half[k], out)
