@@ -12,7 +12,7 @@ import numpy as np
 from pointmr_engine.forward.fragments import Fragments
 from pointmr_engine.forward.pixel_filter import Slopes
 from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normal
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 
 MIXED = 32  # bit of a key: its cell is one of the larger ones
@@ -20,29 +20,32 @@ VIEW = 33  # first bit of the view in a fragment's key
 ROW = 16  # first bit of a cell's row
 
 
+@device
+def _is_chosen(turns, chosen, k, seen, own, key, left, low, seed):
+    """Whether k represents what a view shows of a cell, `seen` subpixels, of which k is `own`; not the one so far.
+
+    The one whose turn it is in the cell does, so that the views' places are spread evenly in it; else any, by chance.
+    """
+    i, j = left + (key & ((1 << ROW) - 1)), low + ((key >> ROW) & ((1 << ROW) - 1))
+    turn = np.int64(1) << np.int64(pixel_seed(i, j, seed) & np.uint32(3))
+    first, second = np.int64(turns[chosen]), np.int64(turns[k])
+    if (first | second) & turn != 0:
+        return second & turn != 0
+    h = pixel_seed(i, j, seed + second + ((key >> VIEW) << 4))
+    return np.int64(h) * seen < np.int64(own) << 32
+
+
 @uncounted
 def merge_views(
-    order,
-    key,
-    perspective,
-    footprint,
-    f: Fragments,
-    count,
-    into,
-    largest,
-    kept,
-    chosen,
-    times,
-    left,
-    low,
-    seed,
-):
+    order, key, perspective, footprint, f: Fragments, count, into, largest, kept, chosen, times, turns, left, low, seed
+):  # fmt: skip
     """Merge fragments 0..count that have the same key and continue each other's surface; returns how many are left.
 
     order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share. There one
     of them represents all, by chance, for what is sharp must not be asked in the same places always. The merged ones
     take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of; chosen
-    (N,) int64 to work in; times (N,) float32: how often each counts. left, low: the tile's first subpixel.
+    (N,) int64 to work in; times (N,) float32: how often each counts. turns (N,) uint8: of deal_out; left, low: the
+    tile's first cell of single views.
     """
     groups, first, last = np.int64(0), np.int64(0), np.int64(-1)
     for n in range(count):
@@ -65,8 +68,7 @@ def merge_views(
                 join(f, g, k, largest)
             else:
                 own, seen = f.count[k], f.count[g] + f.count[k]
-                h = pixel_seed(np.int64(4.0 * (left + f.x[k])), np.int64(4.0 * (low + f.y[k])), seed)
-                if np.int64(h) * seen < np.int64(own) << 32:
+                if _is_chosen(turns, chosen[found], k, seen, own, key[k], left, low, seed):
                     copy_fragment(f, g, k)
                     times[chosen[found]], times[k] = 0.0, np.float32(seen) / own
                     chosen[found] = k

@@ -38,8 +38,11 @@ BLURRED = 2.0  # pixels: circles of confusion from this size on are shaded in la
 
 
 @uncounted
-def deal_out(ids, width, height, side, column, row, first, subpixels, out, empty):
+def deal_out(ids, width, height, side, column, row, first, subpixels, out, empty, turns):
     """Write a view's fragments to its subpixels of the image; count those that show nothing.
+
+    turns (N,) uint8, zeros: which of two by two subpixels show a fragment, a bit each; they begin elsewhere from view
+    to view, so that what shows of the views at one turn is spread evenly.
 
     ids: of the view's target, width x height subpixels; first: number of its first fragment; out (H, W) int32; empty
     (rows, columns) int32: subpixels per pixel of the tile that show nothing.
@@ -50,6 +53,8 @@ def deal_out(ids, width, height, side, column, row, first, subpixels, out, empty
             out[y * side + row, x * side + column] = np.int32(k + first if k >= 0 else k)
             if k < 0:
                 empty[(y * side + row) // subpixels, (x * side + column) // subpixels] += 1
+            else:
+                turns[k] |= 1 << (((x ^ column) & 1) + 2 * ((y ^ row) & 1))
 
 
 def split_lens(image) -> None:
@@ -87,7 +92,7 @@ class LensTiles(TracedTiles):
         self.seen = np.empty((0, 2), np.int32)  # the views see a fragment in different subpixels
         self.shown = np.empty((n, 2), np.int32)
         self.of_view = np.empty(n, np.int32)
-        self.kept = np.empty(n, np.int64)
+        self.kept, self.turns = np.empty(n, np.int64), np.empty(n, np.uint8)
         self.own_ids = np.empty_like(self.target.ids)  # before fragments merge
         self.own_light = np.empty((n, 3), np.float32)
         self.own_values = allocate_placement_values(0)
@@ -148,9 +153,11 @@ class LensTiles(TracedTiles):
             np.float64(image.pixel * v / image.subpixels), f, hierarchy.cut_outs, np.int64(count), self.leaks,
         )  # fmt: skip
         self.open_in_view[:] = 0
+        turns = self.turns[first : first + count]
+        turns[:] = 0
         deal_out(
             self.part.ids, width, height, np.int64(v), np.int64(seen.column), np.int64(seen.row), np.int64(first),
-            np.int64(image.subpixels), self.target.ids, self.open_in_view,
+            np.int64(image.subpixels), self.target.ids, self.open_in_view, turns,
         )  # fmt: skip
         self._add_sky(seen)
         here = np.s_[first : first + count]
@@ -212,7 +219,8 @@ class LensTiles(TracedTiles):
         blur = 2.0 * lens[0] * np.abs(1.0 / z - 1.0 / lens[1] if view.perspective else 1.0 - z / lens[1])
         mixed = blur * abs(view.scale_y) > BLURRED * image.subpixels
         cell = np.where(mixed, 2 * self.cell, self.cell)
-        cell[alone] = 2 * max(self.cell, image.side)  # of which a view has two subpixels a side
+        single = 2 * max(self.cell, image.side)  # of which a view has two subpixels a side
+        cell[alone] = single
         last = 1 << (ROW - 1)  # what lies far outside the tile is in the last cells
         i, j = (np.clip(a[:n] // cell, -last, last - 1).astype(np.int64) + last for a in (f.x, f.y))
         view_of = np.where(alone, self.of_view[:n].astype(np.int64) + 1, 0)
@@ -223,8 +231,8 @@ class LensTiles(TracedTiles):
         self.times = np.empty(n, np.float32)
         count = merge_views(
             order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.largest,
-            self.kept, np.empty(n, np.int64), self.times, np.int64(self.left), np.int64(self.low),
-            np.int64(image.settings.seed),
+            self.kept, np.empty(n, np.int64), self.times, self.turns, np.int64(self.left // single),
+            np.int64(self.low // single), np.int64(image.settings.seed),
         )  # fmt: skip
         self.key = key[self.kept[:count]]
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
