@@ -38,7 +38,7 @@ from pointmr_engine.numerics.simd_cone import (
 from pointmr_engine.numerics.simd_cover import farthest_row
 from pointmr_engine.scene.group import VISIBLE
 
-ENTRIES = 4096  # what may become the nearest somewhere in one cone; more is left out
+ENTRIES = 4096  # what may become the nearest somewhere in one cone
 
 
 class Buffer(NamedTuple):
@@ -140,8 +140,11 @@ def _draw_triangle(levels, level, buffer, element, covered, plane, cones, n):
 
 
 @device
-def fill(w, s, cones, n, counters, levels, scratch, style, buffer):
-    """Fill the buffer for cone n; returns the sub-rays that meet something."""
+def fill(w, s, cones, n, counters, levels, scratch, style, buffer, most):
+    """Fill the buffer for cone n; returns (the sub-rays that meet something, whether that is all).
+
+    It is not where more than `most` boxes, or ENTRIES, would have to be looked at: some rays cost less then.
+    """
     stack, fronts, state = scratch.stack, scratch.fronts, levels.state
     mask, wanted = np.int64(0), np.int64(cones.visibility[n]) & VISIBLE
     for bit in range(64):
@@ -150,8 +153,12 @@ def fill(w, s, cones, n, counters, levels, scratch, style, buffer):
     level, sp = np.int64(0), np.int64(0)
     buffer.level_place[0] = -1
     node = begin(w, levels, scratch, cones, n, style)
-    while buffer.used[0] < ENTRIES - 16:
+    visited = np.int64(0)
+    while True:
+        if visited > most or buffer.used[0] > ENTRIES - 16:
+            return mask, False
         if node >= 0:
+            visited += 1
             counters[NODES] += 1
             at = scratch.constants + 4 * CONSTANTS * level
             offset = levels.offset[level]
@@ -222,8 +229,7 @@ def fill(w, s, cones, n, counters, levels, scratch, style, buffer):
             else:
                 break
         if node == EMPTY:
-            break
-    return mask
+            return mask, True
 
 
 @device

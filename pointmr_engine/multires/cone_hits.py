@@ -4,6 +4,7 @@ Fragments are the sub-rays that meet one surface: the same triangle or point, or
 way. The hit of a fragment is that of one of its sub-rays, chosen by a hash, so that its mean over many cones is right
 whatever was merged. Where that sub-ray met a prefiltered point, one exact ray finds what it sees (a point does not know
 which of its triangles hide which), and if it slips through, the hit is one of the triangles that the point stands for.
+Where cones would have to look at too many boxes, a few of their sub-rays are walked instead.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from pointmr_engine.raytracing.walk import describe, intersect
 
 FACING = 0.8  # least cosine between the normals of triangles that make one fragment
 MOST = 64
+BOXES = 512  # of a cone; those of some sub-rays cost less than more of them
+ASKED = -1  # Output.length of a sub-ray that is walked instead of its cone
 _NO_WEIGHTS = np.empty((0, 64), np.float32)
 
 
@@ -35,6 +38,7 @@ class Merging(NamedTuple):
     most: int = 8  # fragments a cone; more join the one that is nearest in depth
     gap: float = 1.0  # half-widths of the cone that neighbours may differ in depth
     exact: bool = True  # rays find what is seen of points; else it is one of their triangles, seen or not
+    boxes: int = BOXES  # most that a cone looks at
     seed: int = 0
 
 
@@ -63,7 +67,7 @@ class Output(NamedTuple):
     rays: Rays
     hits: Hits
     chain: np.ndarray  # (F, levels, 2) int64
-    length: np.ndarray  # (F,) int64
+    length: np.ndarray  # (F,) int64, or ASKED
     bit: np.ndarray  # (F,) int64: the sub-ray that was chosen, ~bit if it met a point
 
 
@@ -157,25 +161,60 @@ def _choose_bit(mask, weights, n, chance):
     return chosen
 
 
+@device
+def _chance(seed, n, g):
+    """A hash for fragment g of cone n."""
+    h = ((seed * 0x9E3779B1 + n * 0x85EBCA6B + g * 0xC2B2AE35) & 0x7FFFFFFF) + 1
+    h = ((h ^ (h >> 15)) * 0x2C1B3C6D) & 0xFFFFFFFF
+    h = ((h ^ (h >> 12)) * 0x297A2D39) & 0xFFFFFFFF
+    return h ^ (h >> 15)
+
+
+@device
+def _ask_some(cones, weights, n, merging, out, row):
+    """Rows from `row` on: sub-rays of cone n, one of each part of it, which are yet to be walked; returns the next."""
+    for g in range(merging.most):
+        first, last = 64 * g // merging.most, 64 * (g + 1) // merging.most
+        bits = np.int64(0)
+        for bit in range(first, last):
+            if len(weights) == 0 or weights[n, bit] > 0.0:
+                bits |= np.int64(1) << bit
+        if bits == 0:
+            continue
+        bit = _choose_bit(bits, weights, n, (_chance(merging.seed, n, g) & 0xFFFF) / 65536.0)
+        u, v = ((bit & 7) + 0.5) * 0.25 - 1.0, ((bit >> 3) + 0.5) * 0.25 - 1.0
+        x, y = u * cones.start[n, 0], v * cones.start[n, 1]
+        for k in range(3):
+            out.rays.origin[row, k] = cones.origin[n, k] + x * cones.axes[n, 0, k] + y * cones.axes[n, 1, k]
+        out.rays.t_min[row], out.rays.t_max[row] = cones.t_min[n], np.inf
+        out.rays.visibility[row] = cones.visibility[n]
+        out.hits.triangle[row] = -1
+        out.length[row], out.bit[row] = ASKED, ~bit
+        out.fragments.cone[row], out.fragments.mask[row] = n, np.uint64(bits)
+        row += 1
+    return row
+
+
 @uncounted
 def _fragments(w, s, cones, weights, escaped, counters, levels, scratch, style, buffer, groups, merging, choice, out,
                start, stop):  # fmt: skip
     """Fragments of cones[start:stop] in rows 0, 1, ...; returns how many."""
     row = np.int64(0)
     for n in range(start, stop):
-        mask = np.int64(0)
+        mask, whole = np.int64(0), True
         if usable(cones, n):
-            mask = fill(w, s, cones, n, counters, levels, scratch, style, buffer)
+            mask, whole = fill(w, s, cones, n, counters, levels, scratch, style, buffer, merging.boxes)
+        if not whole:
+            escaped[n] = 0
+            row = _ask_some(cones, weights, n, merging, out, row)
+            continue
         escaped[n] = ~mask
         if mask == 0:
             continue
         count = _group(buffer, groups, mask, cones, n, merging)
         for g in range(count):
             bits = groups.mask[g]
-            h = ((merging.seed * 0x9E3779B1 + n * 0x85EBCA6B + g * 0xC2B2AE35) & 0x7FFFFFFF) + 1
-            h = ((h ^ (h >> 15)) * 0x2C1B3C6D) & 0xFFFFFFFF
-            h = ((h ^ (h >> 12)) * 0x297A2D39) & 0xFFFFFFFF
-            h ^= h >> 15
+            h = _chance(merging.seed, n, g)
             bit = _choose_bit(bits, weights, n, (h & 0xFFFF) / 65536.0)
             k = np.int64(buffer.owner[bit])
             choose(w, s, cones, n, bit, buffer.entry[k], buffer.place_matrix, buffer.place_chain, buffer.place_length,
@@ -245,16 +284,17 @@ def gather(
         groups, merging, allocate_choice(depth), out, start, stop,
     )  # fmt: skip
     _describe(w, out, 0, count)
-    if merging.exact:
-        _look(acceleration, cones, out, count)
-    return count
+    return _look(acceleration, cones, out, count, escaped, merging.exact)
 
 
-def _look(acceleration: Acceleration, cones: Cones, out: Output, count: int) -> None:
-    """Exact hits for the fragments whose sub-ray met a point, if it meets anything."""
-    rows = np.flatnonzero(out.bit[:count] < 0)
+def _look(acceleration: Acceleration, cones: Cones, out: Output, count: int, escaped, exact: bool) -> int:
+    """Exact hits for the fragments whose sub-ray met a point, if it meets anything, and for those that were only asked;
+    returns how many fragments are left. exact: for the former.
+    """
+    asked = out.length[:count] == ASKED
+    rows = np.flatnonzero(out.bit[:count] < 0 if exact else asked)
     if not len(rows):
-        return
+        return count
     index = out.fragments.cone[rows]
     direction, stretch = sub_ray(cones, index, ~out.bit[rows])
     rays = Rays(*(column[rows] for column in out.rays))._replace(
@@ -266,3 +306,14 @@ def _look(acceleration: Acceleration, cones: Cones, out: Output, count: int) -> 
     out.rays.direction[rows[met]] = direction[met]
     for column, found in zip(out.hits, hits, strict=True):
         column[rows[met]] = found[met]
+    asked = np.flatnonzero(asked[rows])
+    if not len(asked):
+        return count
+    out.fragments.depth[rows[asked]] = (hits.t[asked] / stretch[asked])[:, None]
+    lost = rows[asked[hits.triangle[asked] < 0]]
+    np.bitwise_or.at(escaped, out.fragments.cone[lost], out.fragments.mask[lost])
+    kept = np.ones(count, np.bool_)
+    kept[lost] = False
+    for column in (*out.fragments, *out.rays, *out.hits):
+        column[: count - len(lost)] = column[:count][kept]
+    return count - len(lost)

@@ -157,3 +157,35 @@ def test_points_of_whole_groups_become_hits_in_their_instances():
     known = set(zip(flat.numbers.tolist(), flat.paths.tolist(), strict=True))
     assert set(zip(hits.triangle.tolist(), hits.path.tolist(), strict=True)) <= known
     assert isinstance(rays, Rays) and (~escaped).any()
+
+
+def test_crowded_cones_ask_a_few_of_their_sub_rays():
+    """Each stands for a part of its cone, meets what its ray does, or lets its part escape: right on average."""
+    rng = np.random.default_rng(1)
+    geometry, acceleration = accelerate(Group("root", [random_mesh(rng, 400, 1.0, (0, 0, 6.0))]))
+    cones = some_cones(rng.normal(size=(12, 3)) * 0.1, [0, 0, 1], 0.25)
+    hits, stretch = nearest(acceleration, cones)
+    exact = (hits.t.reshape(stretch.shape) / stretch, hits.triangle.reshape(stretch.shape))
+    shares = []
+    for seed in range(60):
+        fragments, masks, rays, found, escaped = met(
+            acceleration, cones, merging=Merging(most=3, boxes=0, seed=seed)
+        )
+        consistent(geometry, cones, fragments, masks, rays, found, escaped)
+        assert len(masks) + escaped.any(1).sum() <= 4 * len(escaped)
+        for k, n in enumerate(fragments.cone):
+            same = exact[1][n] == found.triangle[k]
+            assert (np.isclose(exact[0][n], fragments.depth[k, 0], rtol=1e-6) & same & masks[k]).any()
+        shares.append(escaped.mean(1))
+    expected = (exact[1] < 0).mean(1)
+    assert 0.05 < expected.mean() < 0.95
+    np.testing.assert_allclose(np.mean(shares, 0), expected, atol=4 * np.sqrt(0.25 / 3 / 60))
+
+
+def test_few_boxes_are_looked_at_by_the_cone_itself():
+    rng = np.random.default_rng(1)
+    _, acceleration = accelerate(Group("root", [random_mesh(rng, 400, 1.0, (0, 0, 6.0))]))
+    cones = some_cones(rng.normal(size=(12, 3)) * 0.1, [0, 0, 1], 0.25)
+    whole, limited = (met(acceleration, cones, EXACT, Merging(boxes=n)) for n in (10**9, 512))
+    np.testing.assert_array_equal(whole[1], limited[1])
+    np.testing.assert_array_equal(whole[3].t, limited[3].t)
