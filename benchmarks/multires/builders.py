@@ -173,7 +173,8 @@ def fence() -> None:
 
 def forest_cut() -> None:
     """The forest of 10^15 without groves and stands, its trees within CUT metres, each limb one mesh; placed by
-    geometry nodes, which every renderer sees.
+    geometry nodes, which every renderer sees. Without random colours, for in instances of instances every renderer has
+    random numbers of its own.
     """
     import bpy
 
@@ -194,6 +195,9 @@ def forest_cut() -> None:
     }
     for limb in limbs:
         realise(limb)
+    for material in bpy.data.materials:
+        if material.node_tree:
+            same_for_all(material.node_tree)
     for item in list(bpy.data.objects):
         source = item.pointmr.instance_collection
         if source is not None and item.pointmr.instance_on == "POINTS":
@@ -201,6 +205,15 @@ def forest_cut() -> None:
             item.pointmr.instance_collection = None
             modifier = item.modifiers.new("Instances", "NODES")
             modifier.node_group = plants.instance_nodes(source, chosen)
+
+
+def same_for_all(tree) -> None:
+    """Replace Object Info's Random in a material's nodes by its mean."""
+    for info in [n for n in tree.nodes if n.bl_idname == "ShaderNodeObjectInfo"]:
+        value = tree.nodes.new("ShaderNodeValue")
+        value.outputs[0].default_value = 0.5
+        for link in list(info.outputs["Random"].links):
+            tree.links.new(link.to_socket, value.outputs[0])
 
 
 def keep_near(name: str) -> None:
