@@ -24,6 +24,7 @@ from pointmr_engine.raytracing.camera import CameraArrays
 
 BLOCK = 16  # subpixels per side of a block, whose farthest depth occlusion culling reads
 EMPTY = -1  # in `ids`
+WIDEST_GAP, STEEPEST = 3, 8.0  # subpixels from side to side, and change of depth in one, in its width
 SAME = 1e-4  # of their depth: what lies no farther behind its neighbours is one surface with them
 
 
@@ -247,50 +248,60 @@ def is_hidden(target, width, height, x0, y0, x1, y1, nearness):
     return True
 
 
+def gap_limits(view: View, subpixel: float) -> tuple[np.float32, np.float32]:
+    """How far in nearness the sides of a gap may be apart: an amount, and a share of their nearness.
+
+    subpixel: its width at depth 1 (perspective) or in metres.
+    """
+    reach = WIDEST_GAP * STEEPEST * subpixel
+    if view.perspective:
+        return np.float32(0), np.float32(reach)
+    return np.float32(reach * view.depth_scale), np.float32(0)
+
+
 @uncounted
-def close_gaps(target, width, height, surfel):
+def close_gaps(target, width, height, surfel, limits):
     """Fill what is open between ellipses of one surface, one or two subpixels wide; returns how many were filled.
 
-    A subpixel is open when solid surfels on both sides of it - left and right, or below and above - lie nearer, and
-    much closer to each other in depth than to what it shows. surfel (E,) int64: Entries.surfel. Triangles and clumps
-    have no such gaps.
+    A subpixel is open when what is on all four sides of it lies nearer, left and right as below and above much closer
+    to each other in depth than to what it shows, and no farther than a steep surface goes in so many subpixels: what is
+    open to one side is a notch of an outline. On two sides there are solid surfels, for triangles and clumps have no
+    such gaps. surfel (E,) int64: Entries.surfel; limits: gap_limits.
     """
     depth, ids = target.depth, target.ids
     filled = np.int64(0)
     for y in range(1, height - 1):
         for x in range(1, width - 1):
             w = depth[y, x]
-            a, b = depth[y, x - 1], depth[y, x + 1]
-            if a > w:
-                if b <= w and x + 2 < width:
-                    b = depth[y, x + 2]
-                    other = ids[y, x + 2]
-                else:
-                    other = ids[y, x + 1]
-                if b > w and _one_surface(a, b, w, ids[y, x - 1], other, surfel):
-                    depth[y, x] = min(a, b)
-                    ids[y, x] = ids[y, x - 1]
-                    filled += 1
-                    continue
-            a, b = depth[y - 1, x], depth[y + 1, x]
-            if a > w:
-                if b <= w and y + 2 < height:
-                    b = depth[y + 2, x]
-                    other = ids[y + 2, x]
-                else:
-                    other = ids[y + 1, x]
-                if b > w and _one_surface(a, b, w, ids[y - 1, x], other, surfel):
-                    depth[y, x] = min(a, b)
-                    ids[y, x] = ids[y - 1, x]
-                    filled += 1
+            a, c = depth[y, x - 1], depth[y - 1, x]
+            if a <= w or c <= w:
+                continue
+            right = x + 1 if depth[y, x + 1] > w else min(x + 2, width - 1)
+            above = y + 1 if depth[y + 1, x] > w else min(y + 2, height - 1)
+            if not (_beside(a, depth[y, right], w, limits) and _beside(c, depth[above, x], w, limits)):
+                continue
+            left, below = ids[y, x - 1], ids[y - 1, x]
+            if _solid(left, ids[y, right], surfel):
+                depth[y, x], ids[y, x] = min(a, depth[y, right]), left
+            elif _solid(below, ids[above, x], surfel):
+                depth[y, x], ids[y, x] = min(c, depth[above, x]), below
+            else:
+                continue
+            filled += 1
     return filled
 
 
 @device
-def _one_surface(a, b, w, left, right, surfel):
-    """Whether two entries, at nearness a and b, are solid surfels of one surface before something at w."""
-    gap = min(a, b) - w
-    if abs(a - b) * np.float32(4) > gap or gap < np.float32(SAME) * min(a, b):
+def _beside(a, b, w, limits):
+    """Whether two places at nearness a and b may be of one surface before something at w."""
+    gap, apart = min(a, b) - w, abs(a - b)
+    if apart * np.float32(4) > gap or gap < np.float32(SAME) * min(a, b):
         return False
+    return apart <= limits[0] + limits[1] * min(a, b)
+
+
+@device
+def _solid(left, right, surfel):
+    """Whether two entries are solid surfels."""
     s, t = surfel[left], surfel[right]
     return s >= 0 and t >= 0 and (s | t) & 1 == 0

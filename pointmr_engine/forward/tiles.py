@@ -16,7 +16,7 @@ from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, filter_tile
 from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
 from pointmr_engine.forward.scattered import add_empty, add_fragments, count_shown, divide
 from pointmr_engine.forward.shadow_map import ShadowMaps
-from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps
+from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, gap_limits
 from pointmr_engine.forward.walk import WAITING, Hierarchy, Scratch, walk
 from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.scene.group import CAMERA
@@ -126,8 +126,9 @@ class Workspace:
             self.fragment_of = np.empty(2 * self.entries, np.int32)
         self.fragment_of[: self.entries] = -1
         self.closed += close_gaps(
-            self.target, np.int64(self.width), np.int64(self.height), self.scratch.entries.surfel
-        )
+            self.target, np.int64(self.width), np.int64(self.height), self.scratch.entries.surfel,
+            gap_limits(self.image.view, self.image.pixel / self.image.subpixels),
+        )  # fmt: skip
         count = find_fragments(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
             self.scratch.entries, self.fragment_of, self.empty, self.fragments,

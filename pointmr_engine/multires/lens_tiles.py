@@ -21,7 +21,7 @@ from pointmr_engine.forward.placement_values import (
     allocate_placement_values,
     combine_placements,
 )
-from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, thresholds
+from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, gap_limits, thresholds
 from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import WAITING, Scratch, walk
 from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
@@ -134,7 +134,8 @@ class LensTiles(TracedTiles):
         if len(self.fragment_of) < entries:
             self.fragment_of = np.empty(2 * entries, np.int32)
         self.fragment_of[:entries] = -1
-        self.closed += close_gaps(self.part, width, height, own.entries.surfel)
+        limits = gap_limits(seen.view, image.pixel * v / image.subpixels)
+        self.closed += close_gaps(self.part, width, height, own.entries.surfel, limits)
         f = Fragments(*(a[first:] for a in self.found))
         count = find_fragments(
             self.part.ids, width, height, np.int64(max(self.cell // v, 1)), own.entries, self.fragment_of,
