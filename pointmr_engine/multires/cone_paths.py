@@ -16,6 +16,7 @@ from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
 from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, take_shares
 from pointmr_engine.multires.lobe_lamps import first_fragments, lamps_in_cones
+from pointmr_engine.multires.lobe_paths import BY_SAMPLES
 from pointmr_engine.multires.lobe_rays import ROUGH
 from pointmr_engine.multires.lobe_shares import (
     bend_mirrors,
@@ -285,6 +286,7 @@ class ConePaths(SharingPaths):
         maps = {GLOSSY: self.light.world.glossy, TRANSMISSION: self.light.world.transmission}.get(bit)
         if maps is None:
             return self.stage.lights.world_radiance(rays.direction[rows], bit), 1.0
+        weight = np.where(now.bsdf_pdf[rows] == BY_SAMPLES, 0.0, 1.0)
         radiance = np.empty((len(rows), 3), np.float32)
         sharp = self.lobe_alpha[rows] <= 0.0
         if sharp.any():
@@ -294,7 +296,7 @@ class ConePaths(SharingPaths):
             seen = np.empty((len(wide), 3), np.float32)
             look_at_world(maps, rays.direction, self.lobe_alpha, wide, seen)
             radiance[~sharp] = seen
-        return radiance, 1.0
+        return radiance, weight
 
 
 @uncounted

@@ -23,6 +23,8 @@ from pointmr_engine.raytracing.paths import (
 from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
+# Paths.bsdf_pdf of rays whose lights have been sampled: what no sample can find counts in full, all else not at all
+BY_SAMPLES = 1e-9
 WIDEST = 3.0  # tangent of a cone's half angle at most
 
 

@@ -13,7 +13,15 @@ import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
 from pointmr_engine.multires.light_sharing import add_lobe, clear_share
-from pointmr_engine.multires.lobe_paths import WIDEST, go_on, no_cone, open_cone, pass_through, send_ray
+from pointmr_engine.multires.lobe_paths import (
+    BY_SAMPLES,
+    WIDEST,
+    go_on,
+    no_cone,
+    open_cone,
+    pass_through,
+    send_ray,
+)
 from pointmr_engine.multires.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobe_shares import NARROW, mean_roughness
 from pointmr_engine.multires.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
@@ -34,8 +42,14 @@ from pointmr_engine.shading.bsdf.layout import (
 )
 from pointmr_engine.shading.bsdf.microfacet import fresnel
 from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
-from pointmr_engine.shading.bsdf.vector import dot, load3, row3
-from pointmr_engine.shading.points import RAY_GLOSSY, RAY_REFLECTION, RAY_SINGULAR, RAY_TRANSMISSION
+from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, row3
+from pointmr_engine.shading.points import (
+    RAY_DIFFUSE,
+    RAY_GLOSSY,
+    RAY_REFLECTION,
+    RAY_SINGULAR,
+    RAY_TRANSMISSION,
+)
 
 WIDE = 4.0  # half width of a lobe's cone, in slopes of its roughness: what lies beyond is left out ...
 CORE, REST = (
@@ -45,7 +59,8 @@ CORE, REST = (
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 CLEAR = 0.5  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
-WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth
+WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
+WEAK_THROUGH = 0.25  # ... and of what passes leaves, for lights have been sampled behind them
 LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in roughnesses, and how many
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
@@ -70,13 +85,18 @@ def _from_inside(lobes, k, j, film, cosine):
 
 @device
 def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
-    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 where diffuse."""
+    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on.
+
+    Diffuse lobes pass nothing on but through leaves: that counts as transmission, which may bounce (as in Cycles).
+    """
     zero = (0.0, 0.0, 0.0)
     kind = lobes.kind[k, j]
     base = kind & KIND_MASK
-    if base <= TRANSLUCENT:
+    if base < TRANSLUCENT:
         return zero, zero
     w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
+    if base == TRANSLUCENT:
+        return zero, (w[0] * t[0], w[1] * t[1], w[2] * t[2])
     share = 1.0
     reflected, transmitted = (1.0, 1.0, 1.0), zero
     if base != ASHIKHMIN_SHIRLEY:
@@ -125,15 +145,15 @@ def _branch(chosen, weight, before, target, total):
 
 
 @device
-def _survives(out, m, chance):
-    """Whether row m of paths goes on, by a random number, where its throughput is below WEAK; it is then that."""
+def _survives(out, m, chance, weak):
+    """Whether row m of paths goes on, by a random number, where its throughput is below `weak`; it is then that."""
     t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
-    if t >= WEAK:
+    if t >= weak:
         return True
-    if chance * WEAK >= t:
+    if chance * weak >= t:
         return False
     for c in range(3):
-        out.throughput[m, c] *= WEAK / t
+        out.throughput[m, c] *= weak / t
     return True
 
 
@@ -228,13 +248,23 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
+                if lobes.kind[k, j] & KIND_MASK == TRANSLUCENT:
+                    u, v = _place(tables, samples, slot, bounce, k, j)
+                    after = _through(
+                        paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, f, u, v, out, m, record
+                    )
+                    seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
+                    lot = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
+                    if after > m and _survives(out, m, lot, WEAK_THROUGH):
+                        m = after
+                    continue
                 ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(g), small[k], strong)
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 m = _refract(
                     paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
                     glints and bounce > 0, small[k], rough, ray,
                 )  # fmt: skip
-        if chosen and m == first + 1 and not _survives(out, first, chance):
+        if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
             m = first
     return m
 
@@ -294,6 +324,19 @@ def _reflect(
             record.incoming[m, c] = wi[c]
         m += 1
     return m
+
+
+@device
+def _through(paths, k, j, hits, frames, lobes, limits, factor, u, v, out, m, record):
+    """The ray of a translucent lobe; returns the next row. Arguments as of `_reflect`."""
+    nm = load3(lobes.data, k, j, NORMAL)
+    wo = cosine_hemisphere((-nm[0], -nm[1], -nm[2]), u, v)
+    if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
+        return m
+    send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), factor, wo,
+             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, 1.0)  # fmt: skip
+    out.bsdf_pdf[m] = BY_SAMPLES
+    return m + 1
 
 
 @device
