@@ -60,7 +60,7 @@ STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 CLEAR = 0.5  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
-WEAK_THROUGH = 0.25  # ... and of what passes leaves, for lights have been sampled behind them
+WEAK_THROUGH = 1.0  # ... and of what passes leaves, behind which lights have been sampled
 LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in roughnesses, and how many
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 

@@ -13,6 +13,7 @@ from pointmr_engine import (
     Camera,
     Group,
     Light,
+    Material,
     Mesh,
     RenderSettings,
     Scene,
@@ -25,8 +26,10 @@ from pointmr_engine.multires.lobe_view import lobe_pdf
 from pointmr_engine.multires.merge import choose_seen
 from pointmr_engine.multires.shadow_edges import LARGE, find_edges
 from pointmr_engine.render import Cache
+from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.group import VISIBLE
 from pointmr_engine.scene.settings import RaytraceSettings
-from tests.engine.small_scenes import lit_floor, quad
+from tests.engine.small_scenes import from_above, lit_floor, quad
 
 DARK = uniform_world((0.0, 0.0, 0.0))
 SUN = Light("SUN", look((-2, -3, 7), (0, 0, 0)), power=4.5, angle=0.0)
@@ -272,3 +275,36 @@ def test_glossy_paths_carry_as_much_diffuse_light_as_random_ones():
     ).mean((0, 1))
     ours = np.mean([image(scene, cache, seed=s) for s in range(8)], 0).mean((0, 1))
     np.testing.assert_allclose(ours, exact, rtol=0.004)
+
+
+# What passes leaves
+
+
+def leaf(color, z: float, size: float = 40.0) -> Mesh:
+    """A sheet that scatters light through, and nothing back."""
+    node = Node("translucent", {"color": color})
+    return quad(size, z, Material("leaf", Graph({"t": node}, surface=Link("t", "bsdf"))), f"leaf at {z}")
+
+
+@pytest.mark.parametrize("leaves", [1, 2])
+def test_light_from_the_floor_shines_through_leaves(leaves):
+    """A lamp below leaves lights the floor, which lights them from below: that counts as transmission, and bounces."""
+    below = np.eye(4)
+    below[2, 3] = -0.5
+    lamp = Light("SPOT", below, power=100.0, spot_angle=2.0, radius=0.1, visibility=VISIBLE)
+    floor = quad(20.0, -2.0, principled("floor", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0))
+    sheets = [leaf((0.3, 0.6, 0.1), 0.25 * k) for k in range(leaves)]
+    scene = Scene(Group("root", [floor, *sheets]), from_above(), [lamp], DARK)
+    exact = image(scene, method="distributed", samples=1024).mean((0, 1))
+    ours = np.mean([image(scene, seed=s) for s in range(8)], (0, 1, 2))
+    assert exact.min() > 0.0
+    np.testing.assert_allclose(ours, exact, rtol=0.05)
+
+
+def test_the_world_shines_through_a_leaf_once():
+    """Light samples find it: the rays that go on do not."""
+    scene = Scene(
+        Group("root", [leaf((0.3, 0.6, 0.1), 0.0, 2.0)]), from_above(), [], uniform_world((1.0, 1.0, 1.0))
+    )
+    mean = np.mean([image(scene, seed=s)[12:-12, 18:-18] for s in range(4)], (0, 1, 2))
+    np.testing.assert_allclose(mean, (0.3, 0.6, 0.1), rtol=0.02)
