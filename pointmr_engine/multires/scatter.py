@@ -60,7 +60,7 @@ STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 CLEAR = 0.5  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
-WEAK_THROUGH = 1.0  # ... and of what passes leaves, behind which lights have been sampled
+WEAK_THROUGH = 0.5  # ... and of what passes leaves, behind which lights have been sampled
 LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in roughnesses, and how many
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
@@ -85,18 +85,13 @@ def _from_inside(lobes, k, j, film, cosine):
 
 @device
 def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
-    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on.
-
-    Diffuse lobes pass nothing on but through leaves: that counts as transmission, which may bounce (as in Cycles).
-    """
+    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 where diffuse."""
     zero = (0.0, 0.0, 0.0)
     kind = lobes.kind[k, j]
     base = kind & KIND_MASK
-    if base < TRANSLUCENT:
+    if base <= TRANSLUCENT:
         return zero, zero
     w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
-    if base == TRANSLUCENT:
-        return zero, (w[0] * t[0], w[1] * t[1], w[2] * t[2])
     share = 1.0
     reflected, transmitted = (1.0, 1.0, 1.0), zero
     if base != ASHIKHMIN_SHIRLEY:
@@ -201,13 +196,22 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             total += _largest(r) + _largest(g)
             passed[0, j, 0], passed[0, j, 1], passed[0, j, 2] = r
             passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
+        slot = paths.slot[k]
+        for j in range(np.int64(lobes.count[k])):
+            if lobes.kind[k, j] & KIND_MASK != TRANSLUCENT or m + 1 + n - k > room:
+                continue
+            u, v = _place(tables, samples, slot, bounce, k, j)
+            seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
+            lot = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
+            m = _through(
+                paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, u, v, lot, out, m, record
+            )
         if not total > 0.0:
             continue
         divides = bounce == 0 or (_largest(t) >= CLEAR and _all_singular(lobes, np.int64(k)))
         chosen = total < SPLIT or crowded or not divides
         glints = _largest(t) < glinting
         strong = STRONG if bounce == 0 else 1.0
-        slot = paths.slot[k]
         target = chance = 0.0
         if chosen:
             seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
@@ -248,16 +252,6 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
-                if lobes.kind[k, j] & KIND_MASK == TRANSLUCENT:
-                    u, v = _place(tables, samples, slot, bounce, k, j)
-                    after = _through(
-                        paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, f, u, v, out, m, record
-                    )
-                    seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
-                    lot = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
-                    if after > m and _survives(out, m, lot, WEAK_THROUGH):
-                        m = after
-                    continue
                 ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(g), small[k], strong)
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 m = _refract(
@@ -327,16 +321,20 @@ def _reflect(
 
 
 @device
-def _through(paths, k, j, hits, frames, lobes, limits, factor, u, v, out, m, record):
-    """The ray of a translucent lobe; returns the next row. Arguments as of `_reflect`."""
+def _through(paths, k, j, hits, frames, lobes, limits, u, v, chance, out, m, record):
+    """The ray of a translucent lobe, if it goes on; returns the next row. Arguments as of `_reflect`.
+
+    What is diffuse does not bounce but through leaves: that counts as transmission (as in Cycles). It goes on beside
+    what else does, for where one of both is chosen by chance, weak lobes beside it would stand for it, too.
+    """
     nm = load3(lobes.data, k, j, NORMAL)
     wo = cosine_hemisphere((-nm[0], -nm[1], -nm[2]), u, v)
     if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
         return m
-    send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), factor, wo,
+    send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
              RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, 1.0)  # fmt: skip
     out.bsdf_pdf[m] = BY_SAMPLES
-    return m + 1
+    return m + 1 if _survives(out, m, chance, WEAK_THROUGH) else m
 
 
 @device
