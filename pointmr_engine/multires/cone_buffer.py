@@ -153,12 +153,11 @@ def fill(w, s, cones, n, counters, levels, scratch, style, buffer, most):
     level, sp = np.int64(0), np.int64(0)
     buffer.level_place[0] = -1
     node = begin(w, levels, scratch, cones, n, style)
-    visited = np.int64(0)
+    last = counters[NODES] + most
     while True:
-        if visited > most or buffer.used[0] > ENTRIES - 16:
+        if counters[NODES] > last or buffer.used[0] > ENTRIES - 16:
             return mask, False
         if node >= 0:
-            visited += 1
             counters[NODES] += 1
             at = scratch.constants + 4 * CONSTANTS * level
             offset = levels.offset[level]

@@ -169,14 +169,24 @@ def _exact(w, cones, n, direction, o, place_matrix, place, part, block, lane):
 
 
 @device
+def begin_sub_ray(cones, n, bit, out, row):
+    """Begin the ray of row `row` as sub-ray `bit` of cone n; returns (its beginning, its direction), in cone space."""
+    u, v = ((bit & 7) + 0.5) * 0.25 - 1.0, ((bit >> 3) + 0.5) * 0.25 - 1.0
+    x, y, rays = u * cones.start[n, 0], v * cones.start[n, 1], out.rays
+    for k in range(3):
+        rays.origin[row, k] = cones.origin[n, k] + x * cones.axes[n, 0, k] + y * cones.axes[n, 1, k]
+    rays.t_min[row], rays.t_max[row] = cones.t_min[n], np.inf
+    rays.visibility[row] = cones.visibility[n]
+    return (x, y), (u * cones.spread[n, 0], v * cones.spread[n, 1], 1.0)
+
+
+@device
 def choose(w, s, cones, n, bit, entry, place_matrix, place_chain, place_length, state, choice, out, row):
     """Row `row` of out.rays, out.hits, out.chain and out.length: the hit of sub-ray `bit` of cone n.
 
     entry: the element that it met, of cone_hits.Buffer; state: a number that decides by chance.
     """
-    u, v = ((bit & 7) + 0.5) * 0.25 - 1.0, ((bit >> 3) + 0.5) * 0.25 - 1.0
-    o = (u * cones.start[n, 0], v * cones.start[n, 1])
-    direction = (u * cones.spread[n, 0], v * cones.spread[n, 1], 1.0)
+    o, direction = begin_sub_ray(cones, n, bit, out, row)
     element, place = entry[0], entry[1]
     length = place_length[place]
     chain = out.chain[row]
@@ -216,11 +226,8 @@ def choose(w, s, cones, n, bit, entry, place_matrix, place_chain, place_length, 
     rays, hits = out.rays, out.hits
     size = np.sqrt(x * x + y * y + t * t)
     for k in range(3):
-        rays.origin[row, k] = cones.origin[n, k] + o[0] * cones.axes[n, 0, k] + o[1] * cones.axes[n, 1, k]
         along = x * cones.axes[n, 0, k] + y * cones.axes[n, 1, k] + t * cones.axes[n, 2, k]
         rays.direction[row, k] = along / size
-    rays.t_min[row], rays.t_max[row] = cones.t_min[n], np.inf
-    rays.visibility[row] = cones.visibility[n]
     hits.t[row] = size
     hits.u[row], hits.v[row] = np.float32(p), np.float32(q)
     hits.part[row] = np.int32(part)

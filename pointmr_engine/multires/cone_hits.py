@@ -16,7 +16,7 @@ import numpy as np
 from pointmr_engine.hierarchy.acceleration import Acceleration
 from pointmr_engine.hierarchy.prefilter import Prefiltered
 from pointmr_engine.multires.cone_buffer import allocate_buffer, fill
-from pointmr_engine.multires.cone_choice import allocate_choice, choose
+from pointmr_engine.multires.cone_choice import allocate_choice, begin_sub_ray, choose
 from pointmr_engine.multires.cone_space import Style, allocate, scene_of
 from pointmr_engine.multires.cone_walk import COUNTERS, usable
 from pointmr_engine.multires.cones import Cones, sub_ray
@@ -182,12 +182,7 @@ def _ask_some(cones, weights, n, merging, out, row):
         if bits == 0:
             continue
         bit = _choose_bit(bits, weights, n, (_chance(merging.seed, n, g) & 0xFFFF) / 65536.0)
-        u, v = ((bit & 7) + 0.5) * 0.25 - 1.0, ((bit >> 3) + 0.5) * 0.25 - 1.0
-        x, y = u * cones.start[n, 0], v * cones.start[n, 1]
-        for k in range(3):
-            out.rays.origin[row, k] = cones.origin[n, k] + x * cones.axes[n, 0, k] + y * cones.axes[n, 1, k]
-        out.rays.t_min[row], out.rays.t_max[row] = cones.t_min[n], np.inf
-        out.rays.visibility[row] = cones.visibility[n]
+        begin_sub_ray(cones, n, bit, out, row)
         out.hits.triangle[row] = -1
         out.length[row], out.bit[row] = ASKED, ~bit
         out.fragments.cone[row], out.fragments.mask[row] = n, np.uint64(bits)

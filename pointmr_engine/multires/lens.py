@@ -29,7 +29,7 @@ class LensView(NamedTuple):
 
     view: View  # in its own subpixels: V times larger ones than the image's
     camera_from_world: np.ndarray  # (3, 4) float64; orthographic: sheared
-    camera: CameraArrays  # the camera of which this point is the centre
+    world_from_camera: np.ndarray  # (3, 4) float64 of the camera of which this point is the centre
     x: float  # of the lens point, metres
     y: float
     shear_x: float  # orthographic: camera-space x per z
@@ -107,7 +107,7 @@ def make_views(camera: CameraArrays, view: View, subpixels: int, side: int) -> l
             LensView(
                 view._replace(scale_x=sx, scale_y=sy, shift_x=float(shift_x), shift_y=float(shift_y)),
                 np.ascontiguousarray(matrix),
-                camera._replace(world_from_camera=np.ascontiguousarray(to_world)),
+                np.ascontiguousarray(to_world),
                 x,
                 y,
                 shear_x,
@@ -136,7 +136,7 @@ def lens_rays(views: list[LensView]) -> LensRays:
     return LensRays(
         of,
         np.array([[v.view.shift_x, v.view.shift_y] for v in views]),
-        np.stack([v.camera.world_from_camera for v in views]),
+        np.stack([v.world_from_camera for v in views]),
     )
 
 

@@ -235,7 +235,7 @@ class LensTiles(TracedTiles):
             self.kept, np.empty(n, np.int64), self.times, self.turns, np.int64(self.left // single),
             np.int64(self.low // single), np.int64(image.settings.seed),
         )  # fmt: skip
-        self.key = key[self.kept[:count]]
+        self.key, self.whole = key[self.kept[:count]], None
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
         choose_seen(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
@@ -265,7 +265,10 @@ class LensTiles(TracedTiles):
         """Of what the views saw before it merged, at its own places; see Workspace._filtered."""
         slopes = self.slopes if values is self.light else NO_SLOPES
         out = self._filter_own(values, slopes, background, rows, columns)
-        out[:, :, :3] /= self._filter_own(np.ones_like(values), NO_SLOPES, self.ones, rows, columns)[:, :, :1]
+        if self.whole is None:  # of all passes of the tile
+            ones = np.ones_like(values)
+            self.whole = self._filter_own(ones, NO_SLOPES, self.ones, rows, columns)[:, :, :1]
+        out[:, :, :3] /= self.whole
         return out
 
     def _filter_own(self, values, slopes: Slopes, background, rows: int, columns: int) -> np.ndarray:

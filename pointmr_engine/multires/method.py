@@ -14,7 +14,7 @@ import numpy as np
 
 from pointmr_engine.forward.fragment_surfaces import NO_EYES
 from pointmr_engine.forward.method import Image
-from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, allocate_slopes
+from pointmr_engine.forward.pixel_filter import Slopes, allocate_slopes
 from pointmr_engine.forward.tiles import Workspace
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.cone_paths import ConePaths
@@ -150,8 +150,6 @@ class TracedTiles(Workspace):
 
     def _slopes(self, count: int) -> Slopes:
         image = self.image
-        if image.views:  # they see a fragment in different places
-            return NO_SLOPES
         sums, slopes = np.empty((count, COLUMNS), np.float32), allocate_slopes(count)
         find_slopes(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),

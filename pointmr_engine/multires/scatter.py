@@ -198,14 +198,11 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
         slot = paths.slot[k]
         for j in range(np.int64(lobes.count[k])):
-            if lobes.kind[k, j] & KIND_MASK != TRANSLUCENT or m + 1 + n - k > room:
-                continue
-            u, v = _place(tables, samples, slot, bounce, k, j)
-            seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
-            lot = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
-            m = _through(
-                paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, u, v, lot, out, m, record
-            )
+            if lobes.kind[k, j] & KIND_MASK == TRANSLUCENT and m + 1 + n - k <= room:
+                m = _through(
+                    paths, samples, np.int64(k), np.int64(j), hits, frames, lobes, limits, tables, bounce, out, m,
+                    record,
+                )  # fmt: skip
         if not total > 0.0:
             continue
         divides = bounce == 0 or (_largest(t) >= CLEAR and _all_singular(lobes, np.int64(k)))
@@ -321,19 +318,22 @@ def _reflect(
 
 
 @device
-def _through(paths, k, j, hits, frames, lobes, limits, u, v, chance, out, m, record):
-    """The ray of a translucent lobe, if it goes on; returns the next row. Arguments as of `_reflect`.
+def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, out, m, record):
+    """The ray of a translucent lobe, if it goes on; returns the next row. Arguments as of `scatter_lobes`.
 
     What is diffuse does not bounce but through leaves: that counts as transmission (as in Cycles). It goes on beside
     what else does, for where one of both is chosen by chance, weak lobes beside it would stand for it, too.
     """
-    nm = load3(lobes.data, k, j, NORMAL)
+    slot, nm = paths.slot[k], load3(lobes.data, k, j, NORMAL)
+    u, v = _place(tables, samples, slot, bounce, k, j)
     wo = cosine_hemisphere((-nm[0], -nm[1], -nm[2]), u, v)
     if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
         return m
     send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
              RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, 1.0)  # fmt: skip
     out.bsdf_pdf[m] = BY_SAMPLES
+    seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
+    chance = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
     return m + 1 if _survives(out, m, chance, WEAK_THROUGH) else m
 
 

@@ -27,7 +27,6 @@ from pointmr_engine.multires.merge import choose_seen
 from pointmr_engine.multires.shadow_edges import LARGE, find_edges
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
-from pointmr_engine.scene.group import VISIBLE
 from pointmr_engine.scene.settings import RaytraceSettings
 from tests.engine.small_scenes import from_above, lit_floor, quad
 
@@ -291,7 +290,7 @@ def test_light_from_the_floor_shines_through_leaves(leaves):
     """A lamp below leaves lights the floor, which lights them from below: that counts as transmission, and bounces."""
     below = np.eye(4)
     below[2, 3] = -0.5
-    lamp = Light("SPOT", below, power=100.0, spot_angle=2.0, radius=0.1, visibility=VISIBLE)
+    lamp = Light("SPOT", below, power=100.0, spot_angle=2.0, radius=0.1)
     floor = quad(20.0, -2.0, principled("floor", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0))
     sheets = [leaf((0.3, 0.6, 0.1), 0.25 * k) for k in range(leaves)]
     scene = Scene(Group("root", [floor, *sheets]), from_above(), [lamp], DARK)
