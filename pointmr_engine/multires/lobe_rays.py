@@ -49,9 +49,10 @@ def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
 
 @device
 def draw_direction(lobes, k, j, wi, transmitted, u, v):
-    """A direction of lobe j of point k on one side, by its visible facets, (rgb) BSDF * cosine / density, and density.
+    """A direction of lobe j of point k on one side, by its visible facets.
 
-    The weight is 0 where there is no such direction. The density is that of the lobe's both sides together.
+    Returns (direction, (rgb) BSDF * cosine / density, the lobe's own density there, its chance of this side); the
+    weight is 0 where there is no such direction. The lobe's own density counts both sides: this side's times its chance.
     """
     kind = lobes.kind[k, j]
     none = (0.0, 0.0, 0.0)
@@ -67,19 +68,19 @@ def draw_direction(lobes, k, j, wi, transmitted, u, v):
         or (dot(normal, wo) < 0.0) != transmitted
         or (dot(row3(lobes.geometric_normal, k), wo) < 0.0) != transmitted
     ):
-        return wo, none, 0.0
+        return wo, none, 0.0, 0.0
     f, pdf, _ = evaluate(kind, lobes.data, k, j, lobes.film_table, wi, wo)
     if not pdf > 0.0:
-        return wo, none, 0.0
+        return wo, none, 0.0, 0.0
     w, scale = load3(lobes.data, k, j, WEIGHT), chance / pdf
-    return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale), pdf
+    return wo, (w[0] * f[0] * scale, w[1] * f[1] * scale, w[2] * f[2] * scale), pdf, chance
 
 
 @device
-def behind_glossy(lobes, k, j, wi, wo, weight, density):
+def behind_glossy(lobes, k, j, wi, wo, weight, density, side):
     """Factors (rgb) of what surfaces reflect that lie in direction wo, drawn from lobe j of point k with `weight`.
 
-    density: of lobe j there. Paths are told apart by the lobe that chance chose, and a glossy one carries what all
+    density: of lobe j there; side: its chance to reflect (draw_direction). Paths are told apart by the lobe that chance chose, and a glossy one carries what all
     lobes reflect: so a part of what diffuse surfaces send each other arrives although they may not bounce, and what
     chance gives to diffuse lobes of glossy light does not (as in Cycles, and in `distributed`). Here it is as much,
     without that chance. What shines itself is the lobe's alone, for light samples bring it to diffuse ones.
@@ -100,7 +101,7 @@ def behind_glossy(lobes, k, j, wi, wo, weight, density):
             by_diffuse += chance * max(dot(load3(lobes.data, k, i, NORMAL), wo), 0.0) / math.pi
     if not pdf > 0.0:
         return 1.0, 1.0, 1.0
-    kept, added = max(1.0 - by_diffuse / pdf, 0.0), own / pdf
+    kept, added = max(1.0 - by_diffuse / pdf, 0.0), own * side / pdf
     return (
         kept + r * added / weight[0] if weight[0] > 0.0 else 1.0,
         kept + g * added / weight[1] if weight[1] > 0.0 else 1.0,

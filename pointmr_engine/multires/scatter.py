@@ -180,7 +180,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             clear_share(shares, first_share + k, p[k, 0], p[k, 1], p[k, 2])
         if not alive[k]:
             continue
-        crowded = m + (MOST + 2) * np.int64(lobes.count[k]) + (n - k) > room
+        crowded = m + (2 * MOST + 1) * np.int64(lobes.count[k]) + (n - k) > room
         wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
         t = paths.throughput[k]
         clear = (0.0, 0.0, 0.0)
@@ -251,10 +251,14 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 g = (g[0] * f, g[1] * f, g[2] * f)
                 ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(g), small[k], strong)
                 u, v = _place(tables, samples, slot, bounce, k, j)
-                m = _refract(
-                    paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
-                    glints and bounce > 0, small[k], rough, ray,
-                )  # fmt: skip
+                times = rays_of(_largest(g), small[k]) if ray and bounce == 0 and not crowded else 1
+                g, f = (g[0] / times, g[1] / times, g[2] / times), f / times
+                for _ in range(times):
+                    m = _refract(
+                        paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
+                        glints and bounce > 0, small[k], rough, ray,
+                    )  # fmt: skip
+                    u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
         if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
             m = first
     return m
@@ -275,7 +279,7 @@ def _reflect(
     cosine = dot(nm, wi)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     if ray:
-        wo, weight, density = draw_direction(lobes, k, j, wi, False, u, v)
+        wo, weight, density, side = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
                      np.int64(1), np.int64(0), record, rough)  # fmt: skip
@@ -283,7 +287,7 @@ def _reflect(
                 out.flags[m] |= SEES_LAMPS
             out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
             record.behind[m, 0], record.behind[m, 1], record.behind[m, 2] = behind_glossy(
-                lobes, k, j, wi, wo, weight, density
+                lobes, k, j, wi, wo, weight, density, side
             )
             m += 1
         return m
@@ -350,7 +354,7 @@ def _refract(
     inverse = 1.0 / ior if ior > 0.0 else 1.0
     bend = abs(1.0 - inverse) * rough
     if ray:
-        wo, weight, _ = draw_direction(lobes, k, j, wi, True, u, v)
+        wo, weight, _, _ = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
                      RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip

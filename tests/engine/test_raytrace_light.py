@@ -259,9 +259,10 @@ def test_rays_of_a_lobe_share_what_it_carries():
 # Diffuse light behind glossy lobes
 
 
-def test_glossy_paths_carry_as_much_diffuse_light_as_random_ones():
+@pytest.mark.parametrize("glass", [0.0, 0.65])
+def test_glossy_paths_carry_as_much_diffuse_light_as_random_ones(glass):
     """Walls of a corner see each other by their gloss alone, but what it brings is reflected diffusely, too."""
-    wall = principled("wall", base_color=(0.2, 0.8, 0.3), roughness=0.5)
+    wall = principled("wall", base_color=(0.2, 0.8, 0.3), roughness=0.5, transmission_weight=glass)
     corner = [
         card("left", [(0, 0, -1), (0, 0, 1), (-1, -1, 1), (-1, -1, -1)], wall),
         card("right", [(0, 0, -1), (1, -1, -1), (1, -1, 1), (0, 0, 1)], wall),
