@@ -24,7 +24,7 @@ from pointmr_engine.raytracing.integrator import Stage, Workspace, sub_frames
 from pointmr_engine.raytracing.rays import Rays, allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
-from pointmr_engine.shading.bsdf.layout import WEIGHT
+from pointmr_engine.shading.bsdf.layout import SAMPLE, WEIGHT
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
 BATCH = 8192
@@ -116,6 +116,15 @@ def start_rays(rays, hits, frame, count):
         rays.skip_path[k] = 0
 
 
+@device
+def _share_sent(lobes, k, j):
+    """What lobe j of point k sends on of its weight: that of a clear coat is one, and it reflects a few per cent."""
+    weight = 0.0
+    for c in range(3):
+        weight += np.float64(lobes.data[k, j, WEIGHT + c]) / 3.0
+    return min(np.float64(lobes.data[k, j, SAMPLE]) / weight, 1.0) if weight > 0.0 else 0.0
+
+
 @uncounted
 def close_transparency(lobes, throughput, coloured, count):
     """Take the transparency of points 0..count out, as far as coverage accounts for it, and scale up what is left.
@@ -130,10 +139,10 @@ def close_transparency(lobes, throughput, coloured, count):
             clear = min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0)
             mean += clear / 3.0
             least = min(least, clear)
-            weight = 0.0
+            sent = 0.0
             for j in range(np.int64(lobes.count[k])):
-                weight += lobes.data[k, j, WEIGHT + c]
-            most = max(most, weight)
+                sent += lobes.data[k, j, WEIGHT + c] * _share_sent(lobes, np.int64(k), np.int64(j))
+            most = max(most, sent)
         taken = min(least if coloured[k] else mean, 0.999)
         scale = max(min(1.0 / (1.0 - taken), 1.0 / max(most, 0.001)), 1.0)
         for c in range(3):

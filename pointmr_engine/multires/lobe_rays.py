@@ -52,7 +52,7 @@ def draw_direction(lobes, k, j, wi, transmitted, u, v):
     """A direction of lobe j of point k on one side, by its visible facets.
 
     Returns (direction, (rgb) BSDF * cosine / density, the lobe's own density there, its chance of this side); the
-    weight is 0 where there is no such direction. The lobe's own density counts both sides: this side's times its chance.
+    weight is 0 where there is no such direction. The lobe's own density counts both sides.
     """
     kind = lobes.kind[k, j]
     none = (0.0, 0.0, 0.0)
@@ -80,10 +80,11 @@ def draw_direction(lobes, k, j, wi, transmitted, u, v):
 def behind_glossy(lobes, k, j, wi, wo, weight, density, side):
     """Factors (rgb) of what surfaces reflect that lie in direction wo, drawn from lobe j of point k with `weight`.
 
-    density: of lobe j there; side: its chance to reflect (draw_direction). Paths are told apart by the lobe that chance chose, and a glossy one carries what all
-    lobes reflect: so a part of what diffuse surfaces send each other arrives although they may not bounce, and what
-    chance gives to diffuse lobes of glossy light does not (as in Cycles, and in `distributed`). Here it is as much,
-    without that chance. What shines itself is the lobe's alone, for light samples bring it to diffuse ones.
+    density: of lobe j there; side: its chance to reflect (draw_direction). Paths are told apart by the lobe that
+    chance chose, and a glossy one carries what all lobes reflect: so a part of what diffuse surfaces send each other
+    arrives although they may not bounce, and what chance gives to diffuse lobes of glossy light does not (as in Cycles,
+    and in `distributed`). Here it is as much, without that chance. What shines itself is the lobe's alone, for light
+    samples bring it to diffuse ones.
     """
     own = np.float64(lobes.data[k, j, SAMPLE])
     pdf, by_diffuse = own * density, 0.0  # times the sum of all chances

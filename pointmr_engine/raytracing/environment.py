@@ -16,7 +16,8 @@ from pointmr_engine.shading import points as surface_points
 from pointmr_engine.shading.nodes.sky import sun_direction
 from pointmr_engine.shading.program import Program, compile_graph, evaluate_background
 
-OFF, UNIFORM, MAP = 0, 1, 2  # how the world is sampled as a light
+# how the world is sampled as a light: where it has one radiance, on all sides that light comes from, or above alone
+OFF, UNIFORM, MAP, ABOVE = 0, 1, 2, 3
 _LARGEST_MAP = 4096
 _SUN_SHARE = 0.8  # of the samples that go to the world, when its sky has a sun disc
 
@@ -33,7 +34,7 @@ _RAY_KINDS = {
 class WorldMap(NamedTuple):
     """How to sample the world. Texels: rows of equal angle from straight down, columns of equal azimuth from -pi."""
 
-    mode: int  # OFF, UNIFORM or MAP
+    mode: int  # OFF, UNIFORM, MAP or ABOVE
     rows: np.ndarray  # (H + 1,) float64 distribution over rows, 0 to 1
     columns: np.ndarray  # (H, W + 1) float32 distribution over the columns of each row, 0 to 1
     edges: np.ndarray  # (H + 1,) float64 height z of the rows' borders
@@ -44,8 +45,7 @@ class WorldMap(NamedTuple):
 class Environment:
     """The world's program, its importance map and who may see it."""
 
-    def __init__(self, world: World, sample_uniform: bool = True):
-        """sample_uniform: whether a world of a single radiance is sampled as a light, or met by chance only."""
+    def __init__(self, world: World):
         self.program: Program = compile_graph(world.graph, "background")
         self.visibility = world.visibility
         self.warnings = list(self.program.warnings)
@@ -55,8 +55,7 @@ class Environment:
         if self.black or world.sampling == "NONE":
             return
         if self.constant is not None:
-            if sample_uniform:
-                self.map = _no_map(UNIFORM, math.pi * abs(float(np.mean(self.constant))))
+            self.map = _no_map(UNIFORM, math.pi * abs(float(np.mean(self.constant))))
             return
         width = world.map_resolution if world.sampling == "MANUAL" else _image_width(world)
         self.map = _build_map(self.program, min(max(int(width), 4), _LARGEST_MAP), _find_sun(world))
@@ -192,8 +191,8 @@ def _sun_offset(world, dx, dy, dz):
 @uncounted
 def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
     """Density per solid angle with which `sample_world` chooses the direction d."""
-    if world.mode == UNIFORM:
-        if transmissive:
+    if world.mode == UNIFORM or world.mode == ABOVE:
+        if transmissive and world.mode == UNIFORM:
             return 1.0 / (4.0 * math.pi)
         return max(0.0, nx * dx + ny * dy + nz * dz) / math.pi
     if world.mode == OFF:
@@ -210,8 +209,8 @@ def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
 @uncounted
 def sample_world(world, nx, ny, nz, transmissive, u1, u2):
     """Choose a direction to the world: (dx, dy, dz, density). n: the unit normal of the surface that is lit."""
-    if world.mode == UNIFORM:
-        if transmissive:
+    if world.mode == UNIFORM or world.mode == ABOVE:
+        if transmissive and world.mode == UNIFORM:
             dx, dy, dz, _ = uniform_cone(0.0, 0.0, 1.0, 2.0, u1, u2)
             return dx, dy, dz, 1.0 / (4.0 * math.pi)
         dx, dy, dz, c = cosine_hemisphere(nx, ny, nz, u1, u2)

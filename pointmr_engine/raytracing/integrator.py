@@ -52,6 +52,8 @@ class Stage:
     def __post_init__(self):
         if self.settings.method == "conventional":
             self.lights = self.lights.apart
+        elif self.settings.method == "distributed" or self.settings.raytrace.secondary == "rays":
+            self.lights = self.lights.above
 
 
 class Workspace:

@@ -15,7 +15,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements
 from pointmr_engine.raytracing import light_sampling as kernels
 from pointmr_engine.raytracing.emitters import find_emitters, sampled_sides
-from pointmr_engine.raytracing.environment import OFF, Environment
+from pointmr_engine.raytracing.environment import ABOVE, OFF, UNIFORM, Environment
 from pointmr_engine.raytracing.lamps import DISTANT, POINT, compile_lamps
 from pointmr_engine.raytracing.light_sampling import (
     LAMP,
@@ -30,7 +30,6 @@ from pointmr_engine.raytracing.light_sampling import (
 from pointmr_engine.raytracing.light_tree import build_light_tree
 from pointmr_engine.raytracing.surface import points_at
 from pointmr_engine.scene.scene import Scene
-from pointmr_engine.scene.settings import RenderSettings
 
 __all__ = [
     "LAMP",
@@ -100,6 +99,18 @@ class Lights:
         if len(turns) == 1:
             return self
         return self.asked(turns)
+
+    @cached_property
+    def above(self) -> Lights:
+        """The same lights; what a world of one radiance sends through surfaces is left to rays that BSDFs choose.
+
+        Rough refraction is brighter where it is evaluated than where it is sampled (bsdf.microfacet.evaluate). Cycles
+        does not sample such a world as a light.
+        """
+        a = self.arrays
+        if a.world.mode != UNIFORM:
+            return self
+        return self._with(a._replace(world=a.world._replace(mode=ABOVE)), self.turns)
 
     def taken(self, times: int) -> Lights:
         """The same lights, one of all of which is chosen several times."""
@@ -259,17 +270,14 @@ def build_lights(
     scene: Scene,
     geometry: Geometry,
     programs: list,
-    settings: RenderSettings | None = None,
-    sample_uniform_world: bool = True,
 ) -> Lights:
     """Compile the lights of `scene`.
 
     geometry: hierarchy.geometry.Geometry; programs: the materials' Programs in the order of geometry.materials.
-    sample_uniform_world: False leaves a world of one radiance to rays that a BSDF chose, which find it as well.
     """
     lamps, warnings = compile_lamps(scene.lights)
     emitters, material, places, more = find_emitters(geometry, programs)
-    environment = Environment(scene.world, sample_uniform_world)
+    environment = Environment(scene.world)
     warnings = warnings + more + environment.warnings
     extended = (lamps.shape != POINT) & (lamps.shape != DISTANT)
     suns = np.flatnonzero(extended & (lamps.shape > DISTANT))

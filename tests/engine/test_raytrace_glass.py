@@ -66,6 +66,26 @@ def test_clear_glass_is_as_bright_as_what_is_about_it():
     assert ours[1:13].mean() > 0.94  # of the rim
 
 
+@pytest.mark.parametrize("method", ["raytrace", "distributed"])
+@pytest.mark.parametrize("roughness", [0.3, 0.9])
+def test_rough_glass_sends_on_what_it_meets(method, roughness):
+    """White glass below a world of one radiance: no brighter and no darker, though its lobes say more to lamps."""
+    glass = principled("glass", base_color=(1.0, 1.0, 1.0), roughness=roughness, transmission_weight=1.0)
+    scene = Scene(Group("root", [quad(4.0, material=glass)]), CAMERA, [], uniform_world((0.7, 0.7, 0.7)))
+    seen = image(scene, method=method, samples=128)[8:14, 12:-12]
+    assert seen.mean() == pytest.approx(0.7, rel=0.004)
+
+
+@pytest.mark.parametrize("values", [{}, {"roughness": 0.5, "metallic": 0.5}, {"coat_weight": 1.0}])
+def test_what_is_half_transparent_keeps_its_light(values):
+    """Glossy lobes weigh one and reflect little: they take nothing of what an opaque surface would send."""
+    veil = principled("veil", **{"base_color": (0.5, 0.7, 0.2), "roughness": 0.9, "alpha": 0.6} | values)
+    sun = Light("SUN", look((-2, -3, 7), (0, 0, 0)), power=4.5, angle=0.0)
+    scene = Scene(Group("root", [quad(4.0, material=veil)]), CAMERA, [sun], DARK)
+    exact = image(scene, method="distributed", samples=256)[8:14, 12:-12].mean((0, 1))
+    np.testing.assert_allclose(image(scene)[8:14, 12:-12].mean((0, 1)), exact, rtol=0.02)
+
+
 def test_curved_mirrors_show_one_of_many_lamps():
     exact, ours = exact_and_ours(Scene(Group("root", [ball(CHROME)]), CAMERA, lamps(5), DARK), 6)
     assert ours[BALL].mean() == pytest.approx(exact[BALL].mean(), rel=0.06)
