@@ -37,6 +37,7 @@ FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those 
 FLATNESS = 0.95  # of a piece, below which it is a clump that has no normal of its own
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
 TINGE = 0.02  # of light in a channel: what coloured transparency lets through, below which it is not followed
+ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, has had its transparency added
 VEILS = 8  # transparent surfaces that a look at a clump passes at most
 
 
@@ -130,8 +131,8 @@ def close_transparency(lobes, throughput, coloured, count):
     """Take the transparency of points 0..count out, as far as coverage accounts for it, and scale up what is left.
 
     coloured (N,) bool: covered by what the densest channel blocks; what the others let through besides stays. Elsewhere
-    coverage is by mean opacity, and nothing stays. Lobes are scaled to an opaque surface's and no more: those that add
-    up to one are not, whatever passes besides.
+    coverage is by mean opacity, and nothing stays. Lobes that were added to what passes are not scaled: what passes may
+    hang on the instance then, of which coverage knows nothing.
     """
     for k in range(count):
         mean, least, most = 0.0, 1.0, 0.0
@@ -144,7 +145,7 @@ def close_transparency(lobes, throughput, coloured, count):
                 sent += lobes.data[k, j, WEIGHT + c] * _share_sent(lobes, np.int64(k), np.int64(j))
             most = max(most, sent)
         taken = min(least if coloured[k] else mean, 0.999)
-        scale = max(min(1.0 / (1.0 - taken), 1.0 / max(most, 0.001)), 1.0)
+        scale = 1.0 / (1.0 - taken) if most <= ADDED * (1.0 - taken) else 1.0
         for c in range(3):
             left = 0.0
             if coloured[k]:

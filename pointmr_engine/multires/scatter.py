@@ -61,6 +61,7 @@ SPLIT = 0.4  # throughput of a first surface's lobes together from which each of
 CLEAR = 0.5  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
 WEAK_THROUGH = 0.5  # ... and of what passes leaves, behind which lights have been sampled
+THROUGH_ROUGH = 0.4  # of what passes leaves: what its rays stand for, as if it were this rough a lobe
 LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in roughnesses, and how many
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
@@ -334,7 +335,7 @@ def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, 
     if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
         return m
     send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
-             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, 1.0)  # fmt: skip
+             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, THROUGH_ROUGH)  # fmt: skip
     out.bsdf_pdf[m] = BY_SAMPLES
     seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
     chance = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
