@@ -25,6 +25,7 @@ from pointmr_engine.raytracing.rays import Rays, allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
 from pointmr_engine.shading.bsdf.layout import SAMPLE, WEIGHT
+from pointmr_engine.shading.bsdf.vector import combine, load3, mean
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
 BATCH = 8192
@@ -120,9 +121,7 @@ def start_rays(rays, hits, frame, count):
 @device
 def _share_sent(lobes, k, j):
     """What lobe j of point k sends on of its weight: that of a clear coat is one, and it reflects a few per cent."""
-    weight = 0.0
-    for c in range(3):
-        weight += np.float64(lobes.data[k, j, WEIGHT + c]) / 3.0
+    weight = mean(load3(lobes.data, k, j, WEIGHT))
     return min(np.float64(lobes.data[k, j, SAMPLE]) / weight, 1.0) if weight > 0.0 else 0.0
 
 
@@ -135,16 +134,17 @@ def close_transparency(lobes, throughput, coloured, count):
     hang on the instance then, of which coverage knows nothing.
     """
     for k in range(count):
-        mean, least, most = 0.0, 1.0, 0.0
+        average, least = 0.0, 1.0
         for c in range(3):
             clear = min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0)
-            mean += clear / 3.0
+            average += clear / 3.0
             least = min(least, clear)
-            sent = 0.0
-            for j in range(np.int64(lobes.count[k])):
-                sent += lobes.data[k, j, WEIGHT + c] * _share_sent(lobes, np.int64(k), np.int64(j))
-            most = max(most, sent)
-        taken = min(least if coloured[k] else mean, 0.999)
+        sent = (0.0, 0.0, 0.0)
+        for j in range(np.int64(lobes.count[k])):
+            weight = load3(lobes.data, np.int64(k), np.int64(j), WEIGHT)
+            sent = combine(1.0, sent, _share_sent(lobes, np.int64(k), np.int64(j)), weight)
+        most = max(sent[0], sent[1], sent[2])
+        taken = min(least if coloured[k] else average, 0.999)
         scale = 1.0 / (1.0 - taken) if most <= ADDED * (1.0 - taken) else 1.0
         for c in range(3):
             left = 0.0

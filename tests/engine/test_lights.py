@@ -1,6 +1,7 @@
 """Light sampling: closed forms, densities that match, and three estimators that agree."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -278,6 +279,9 @@ def test_uniform_world():
     assert value.std(0).max() < 1e-3  # chosen by the cosine: no noise at all
     all_agree(lights, (0.0, 0.0, 0.0))
     all_agree(lights.above, (0.0, 0.0, 0.0))
+    chance = lights_of(world=replace(uniform_world((0.5, 0.5, 0.5), 2.0), sampling="NONE"))
+    assert chance.empty and chance.only_met
+    assert by_rays(chance, (0.0, 0.0, 0.0)).mean(0) == pytest.approx(np.full(3, math.pi), rel=1e-5)
 
 
 def image_world(pixels, **options) -> World:
