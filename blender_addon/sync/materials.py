@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from pointmr_engine.scene.graph import Graph, Link, Node
-from pointmr_engine.scene.material import Material
+from pointmr_engine.scene.material import Material, principled
 
 from .images import ImageSync
 from .nodes import translate
@@ -31,7 +31,7 @@ class MaterialSync:
         """The engine's material for a bpy Material, or for None the default grey one."""
         if material is None:
             if self._default is None:
-                self._default = Material("default", plain_surface((0.8, 0.8, 0.8)))
+                self._default = default_material()
             return self._default
         key = material.name_full
         if key not in self._materials:
@@ -95,6 +95,13 @@ class MaterialSync:
 def _has_nodes(owner) -> bool:
     """Whether a material or world is made of nodes; since Blender 5 all are, and asking is deprecated."""
     return owner.node_tree is not None and (bpy.app.version >= (5, 0, 0) or owner.use_nodes)
+
+
+def default_material() -> Material:
+    """What surfaces without a material are made of in Cycles: since Blender 5 as a new material is, diffuse before."""
+    if bpy.app.version >= (5, 0, 0):
+        return principled("default", base_color=(0.8, 0.8, 0.8), roughness=0.5, ior=1.5)
+    return Material("default", plain_surface((0.8, 0.8, 0.8)))
 
 
 def plain_surface(color: tuple[float, ...]) -> Graph:

@@ -121,8 +121,8 @@ def build(cases: dict[str, Case]) -> dict[str, bpy.types.Object]:
     return objects
 
 
-def render(path: Path, samples: int = 1) -> np.ndarray:
-    """Cycles' picture of the current scene, (h, w, 3), bottom row first."""
+def render(path: Path, samples: int = 1, bounces: int = 0) -> np.ndarray:
+    """Cycles' picture of the current scene, as `written`."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.samples = samples
@@ -130,7 +130,13 @@ def render(path: Path, samples: int = 1) -> np.ndarray:
     scene.cycles.use_denoising = False
     scene.cycles.pixel_filter_type = "GAUSSIAN"
     scene.cycles.filter_width = 0.01
-    scene.cycles.max_bounces = 0
+    scene.cycles.max_bounces = bounces
+    return written(path)
+
+
+def written(path: Path) -> np.ndarray:
+    """The picture of the current scene by its engine, (h, w, 3), bottom row first."""
+    scene = bpy.context.scene
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_depth = "32"
     scene.render.threads_mode = "FIXED"
