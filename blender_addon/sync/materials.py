@@ -49,7 +49,7 @@ class MaterialSync:
         """The background graph of a bpy World; empty (black) for None."""
         if world is None:
             return Graph()
-        if _has_nodes(world):
+        if has_nodes(world):
             graph = self._graph(world, f"world '{world.name_full}'", "from_world")
             if graph is not None:
                 return graph
@@ -61,7 +61,7 @@ class MaterialSync:
     def _translate(self, material) -> Material:
         name = material.name_full
         graph = None
-        if _has_nodes(material):
+        if has_nodes(material):
             graph = self._graph(material, f"material '{name}'", "from_material")
         if graph is None:
             graph = plain_surface(tuple(material.diffuse_color)[:3])
@@ -92,7 +92,7 @@ class MaterialSync:
             return None
 
 
-def _has_nodes(owner) -> bool:
+def has_nodes(owner) -> bool:
     """Whether a material or world is made of nodes; since Blender 5 all are, and asking is deprecated."""
     return owner.node_tree is not None and (bpy.app.version >= (5, 0, 0) or owner.use_nodes)
 
@@ -100,7 +100,7 @@ def _has_nodes(owner) -> bool:
 def default_material() -> Material:
     """What surfaces without a material are made of in Cycles: since Blender 5 as a new material is, diffuse before."""
     if bpy.app.version >= (5, 0, 0):
-        return principled("default", base_color=(0.8, 0.8, 0.8), roughness=0.5, ior=1.5)
+        return principled("default")
     return Material("default", plain_surface((0.8, 0.8, 0.8)))
 
 

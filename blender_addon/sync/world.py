@@ -5,6 +5,8 @@ from __future__ import annotations
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, VISIBLE, VOLUME_SCATTER
 from pointmr_engine.scene.world import World, uniform_world
 
+from .materials import has_nodes
+
 RAYS = (
     ("camera", CAMERA),
     ("diffuse", DIFFUSE),
@@ -20,7 +22,7 @@ def world(scene, view_layer, material_sync, watch) -> World:
     source = getattr(view_layer, "world_override", None) or scene.world
     if source is None or not view_layer.use_sky:
         return World()
-    if source.node_tree is not None and (source.use_nodes if uses_nodes_flag() else True):
+    if has_nodes(source):
         result = World(material_sync.world_graph(source))
         if any(
             n.bl_idname == "ShaderNodeOutputWorld" and n.inputs["Volume"].is_linked
@@ -40,10 +42,3 @@ def world(scene, view_layer, material_sync, watch) -> World:
         result.sampling = own.sampling_method if own.sampling_method in SAMPLING else "AUTOMATIC"
         result.map_resolution = int(own.sample_map_resolution)
     return result
-
-
-def uses_nodes_flag() -> bool:
-    """Whether worlds may switch their nodes off: from 5.0 on they always use them."""
-    import bpy
-
-    return bpy.app.version < (5, 0, 0)

@@ -9,6 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 sys.path.insert(0, str(Path(__file__).parent))
 
+import builders as b  # noqa: E402
 import node_planes  # noqa: E402
 
 import blender_addon  # noqa: E402
@@ -18,21 +19,16 @@ SIZE = 16
 
 def build(strength: float, power: float) -> None:
     """Two planes in a row, one without slots and one with an empty slot, seen and lit aslant."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
+    scene = b.empty_scene()
     scene.world = bpy.data.worlds.new("world")
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = strength
     for x in (-2.0, 2.0):
         bpy.ops.mesh.primitive_plane_add(size=4.0, location=(x, 0, 0))
     bpy.context.object.data.materials.append(None)
-    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun = b.add("sun", bpy.data.lights.new("sun", "SUN"), rotation_euler=(1.2, 0.0, 0.0))
     sun.data.energy, sun.data.angle = power, 0.0
-    sun.rotation_euler = (1.2, 0.0, 0.0)
-    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    camera.location, camera.rotation_euler = (0.0, -5.0, 3.0), (1.03, 0.0, 0.0)
-    scene.camera = camera
-    for item in (sun, camera):
-        scene.collection.objects.link(item)
+    camera = bpy.data.cameras.new("camera")
+    scene.camera = b.add("camera", camera, location=(0.0, -5.0, 3.0), rotation_euler=(1.03, 0.0, 0.0))
     scene.render.resolution_x = scene.render.resolution_y = SIZE
     scene.render.resolution_percentage = 100
 

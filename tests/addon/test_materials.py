@@ -15,6 +15,7 @@ import node_planes  # noqa: E402
 from blender_addon.sync.images import ImageSync  # noqa: E402
 from blender_addon.sync.materials import MaterialSync  # noqa: E402
 from pointmr_engine.scene.graph import Link  # noqa: E402
+from pointmr_engine.shading.leaves import COLUMNS  # noqa: E402
 from pointmr_engine.shading.points import SurfacePoints  # noqa: E402
 from pointmr_engine.shading.program import compile_graph  # noqa: E402
 
@@ -49,6 +50,9 @@ def test_materials_are_translated_once(sync):
     first = sync.get(m)
     assert sync.get(m) is first and first.pass_index == 5 and first.emission_sampling == "FRONT"
     assert sync.get(None) is sync.get(None)
+    leaf = compile_graph(sync.get(None).graph).evaluate(SurfacePoints(1))[0]
+    grey = COLUMNS[leaf.kind].index("base_color_r") if bpy.app.version >= (5, 0, 0) else 0
+    assert leaf.block[0, grey : grey + 3] == pytest.approx(0.8)
 
 
 def test_the_output_that_cycles_shows_is_used(sync):
