@@ -9,6 +9,7 @@ from benchmarks.sources import Source, text_hash
 
 ABOUT = {
     "coverage": "every material shines in one colour: what is seen, and how much of it",
+    "silhouettes": "every material is black: how much of what shines behind is hidden",
     "shading": "lamps without shadows under a black world: what surfaces reflect",
     "shadows": "lamps with their shadows under a black world: what of it arrives",
     "all": "the scene as it is: the world's light and its occlusion, too",
@@ -17,7 +18,7 @@ ABOUT = {
 
 def variant(source: Source, kind: str) -> Source:
     """The source of the scene `kind`, of ABOUT, of another source. Raises KeyError for an unknown kind."""
-    change = {"coverage": shine, "shading": unshadow, "shadows": darken, "all": None}[kind]
+    change = {"coverage": shine, "silhouettes": blacken, "shading": unshadow, "shadows": darken, "all": None}[kind]
     if change is None:
         return source
 
@@ -28,8 +29,13 @@ def variant(source: Source, kind: str) -> Source:
     return replace(source, name=f"{source.name}:{kind}", load=load, content=text_hash(source.content, kind))
 
 
-def shine() -> None:
-    """Every material emits a colour of its own, and lights nothing; lamps are gone."""
+def blacken() -> None:
+    """Every material is black; lamps are gone."""
+    shine(0.0)
+
+
+def shine(value: float = 0.6) -> None:
+    """Every material emits a colour of its own, as bright as `value`, and lights nothing; lamps are gone."""
     import bpy
 
     for item in [o for o in bpy.context.scene.objects if o.type == "LIGHT"]:
@@ -40,7 +46,7 @@ def shine() -> None:
         tree = material.node_tree
         tree.nodes.clear()
         emission = tree.nodes.new("ShaderNodeEmission")
-        emission.inputs["Color"].default_value = (*colorsys.hsv_to_rgb(0.381966 * k % 1.0, 0.7, 0.6), 1.0)
+        emission.inputs["Color"].default_value = (*colorsys.hsv_to_rgb(0.381966 * k % 1.0, 0.7, value), 1.0)
         output = tree.nodes.new("ShaderNodeOutputMaterial")
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
         material.cycles.emission_sampling = "NONE"

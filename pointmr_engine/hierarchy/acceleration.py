@@ -221,6 +221,7 @@ def build_acceleration(geometry: Geometry, progress: Callable[[float], None] | N
                 group_root[g] = root
                 order = prims.view(np.int32)[ranges[:, 0], bvh_build.NUMBER]
                 del ranges
+            groups.cover(g, records, batch, pool.boxes, pool.children, group_root[g])
             del prims, built
             item_record.append(records[order])
             item_batch.append(batch[order])

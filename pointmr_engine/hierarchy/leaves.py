@@ -6,6 +6,17 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.bvh_build import NUMBER
+from pointmr_engine.hierarchy.covers import (
+    BOXES,
+    FEWEST,
+    OPENED,
+    ROOM,
+    allocate_covers,
+    open_items,
+    placed_box,
+    top_boxes,
+    turned,
+)
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.pointers import pointer_f64
 from pointmr_engine.numerics.transforms import is_singular
@@ -77,21 +88,21 @@ def triangle_blocks(prims, ranges, positions, triangles, first_triangle) -> tupl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _instance_bounds(address, count, group_index, groups, lower, upper, lo, hi):
+def _instance_bounds(address, count, group_index, groups, covers, lo, hi):
     """Unite the boxes of a batch's placements into lo, hi; returns (singular or broken placements, the first)."""
     m = pointer_f64(address)
     bad, first = 0, -1
     box = np.empty(6)
     for i in range(count):
         g = groups[group_index[i if len(group_index) > 1 else 0] if len(group_index) else 0]
-        if not lower[g, 0] <= upper[g, 0]:
+        if covers.count[g] == 0:
             continue
         if is_singular(m, 12 * i):
             if bad == 0:
                 first = i
             bad += 1
             continue
-        _placed_box(m, 12 * i, lower[g], upper[g], box)
+        placed_box(m, 12 * i, covers, g, box)
         for k in range(3):
             lo[k] = min(lo[k], box[k])
             hi[k] = max(hi[k], box[3 + k])
@@ -99,28 +110,17 @@ def _instance_bounds(address, count, group_index, groups, lower, upper, lo, hi):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _placed_box(m, at, lower, upper, box):
-    for k in range(3):
-        middle, half = m[at + 4 * k + 3], 0.0
-        for c in range(3):
-            middle += m[at + 4 * k + c] * 0.5 * (lower[c] + upper[c])
-            half += abs(m[at + 4 * k + c]) * 0.5 * (upper[c] - lower[c])
-        box[k] = middle - half
-        box[3 + k] = middle + half
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _instance_boxes(address, count, group_index, groups, lower, upper, center, slack, visibility, n, prims, numbers,
+def _instance_boxes(address, count, group_index, groups, covers, center, slack, visibility, n, prims, numbers,
                     records, batches, first_record, batch):  # fmt: skip
     m = pointer_f64(address)
     box = np.empty(6)
     for i in range(count):
         g = groups[group_index[i if len(group_index) > 1 else 0] if len(group_index) else 0]
-        if not lower[g, 0] <= upper[g, 0] or is_singular(m, 12 * i):
+        if covers.count[g] == 0 or is_singular(m, 12 * i):
             continue
         if len(visibility) and visibility[i if len(visibility) > 1 else 0] & np.uint8(63) == 0:
             continue
-        _placed_box(m, 12 * i, lower[g], upper[g], box)
+        placed_box(m, 12 * i, covers, g, box)
         for k in range(3):
             prims[n, k] = np.float32(box[k] - center[k] - slack)
             prims[n, 4 + k] = -np.float32(box[3 + k] - center[k] + slack)
@@ -141,12 +141,15 @@ def skipped_placements(batch: Instances, group: Group, bad: int, first: int) -> 
 
 
 class GroupBuilder:
-    """Boxes of what groups hold, children before parents; keeps every group's bounds in its own space."""
+    """Boxes of what groups hold, children before parents; keeps every group's cover (covers.py) in its own space."""
 
     def __init__(self, geometry: Geometry, shape_root: np.ndarray, warnings: list[str]):
         n = len(geometry.groups)
-        self.geometry, self.warnings = geometry, warnings
-        self.lower, self.upper = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+        self.geometry, self.warnings, self.shape_root = geometry, warnings, shape_root
+        self.covers = allocate_covers(n)
+        self.placed = np.zeros(n, np.int64)  # how often each group is placed, at most
+        for batch, first in zip(geometry.batches, geometry.instances.group_first, strict=True):
+            self.placed[geometry.instances.batch_groups[first : first + len(batch.groups)]] += len(batch)
         self.center, self.radius = np.zeros((n, 3)), np.zeros(n)
         self.only_part = np.full(n, -1, np.int32)
         self.children: list[list[int]] = [[] for _ in range(n)]
@@ -172,7 +175,6 @@ class GroupBuilder:
                 self.warnings.append(skipped_placements(batch, geometry.groups[g], bad, first))
         if not (lo <= hi).all():
             return None
-        self.lower[g], self.upper[g] = lo, hi
         self.center[g] = (lo + hi) / 2
         self.radius[g] = np.maximum(hi - lo, 0).max() / 2
         # boxes are stored in single precision about the centre: round outwards, whatever the rounding mode
@@ -196,7 +198,7 @@ class GroupBuilder:
                 np.zeros(0, np.uint8) if visibility is None else np.ascontiguousarray(visibility, np.uint8)
             )
             n = _instance_boxes(
-                address, size, index, groups, self.lower, self.upper, self.center[g], slack, visibility,
+                address, size, index, groups, self.covers, self.center[g], slack, visibility,
                 n, prims, numbers, records, item_batch, tables.first_record[b], b,
             )  # fmt: skip
             self.children[g] += sorted({int(c) for c in groups})
@@ -205,6 +207,33 @@ class GroupBuilder:
         if n == 1 and len(parts) == 1:
             self.only_part[g] = parts[0]
         return prims[:n], records[:n], item_batch[:n]
+
+    def cover(self, g: int, records: np.ndarray, batches: np.ndarray, boxes, children, root: int) -> None:
+        """Choose the boxes that stand for group g: of its items (as `boxes` gave them), or of the nodes from `root`."""
+        limit = min(max(ROOM // max(int(self.placed[g]), 1), FEWEST), BOXES)
+        if len(records) > OPENED:
+            rows = np.empty((limit, 6))
+            rows = rows[: top_boxes(boxes, children, root, self.center[g], limit, rows)]
+        else:
+            items = [self._item(r, b, boxes, children) for r, b in zip(records, batches, strict=True)]
+            rows = open_items(items, limit)
+        at = np.s_[self.covers.first[g] : self.covers.first[g] + len(rows)]
+        self.covers.count[g] = len(rows)
+        self.covers.middle[at], self.covers.half[at] = rows[:, :3], rows[:, 3:]
+
+    def _item(self, record: int, b: int, boxes, children) -> np.ndarray:
+        """(K, 6) boxes of an item of a group, in the group's space."""
+        tables, instances = self.geometry.tables, self.geometry.instances
+        if record < 0:
+            shape, rows = tables.shape[~record], np.empty((BOXES, 6))
+            root = self.shape_root[shape]
+            return rows[: top_boxes(boxes, children, root, tables.center[~record], BOXES, rows)]
+        i = int(record - instances.first_record[b])
+        _, _, index, groups, covers = self._placed(b)
+        child = groups[index[i if len(index) > 1 else 0] if len(index) else 0]
+        at = np.s_[covers.first[child] : covers.first[child] + covers.count[child]]
+        rows = np.concatenate([covers.middle[at], covers.half[at]], 1)
+        return turned(rows, np.asarray(self.geometry.batches[b].transforms[i], float))
 
     def _placed(self, b: int):
         tables, batch = self.geometry.instances, self.geometry.batches[b]
@@ -216,7 +245,7 @@ class GroupBuilder:
             if where < 0
             else tables.group_values[where : where + (len(batch) if step else 1)]
         )
-        return tables.transforms[b], len(batch), index, groups, self.lower, self.upper
+        return tables.transforms[b], len(batch), index, groups, self.covers
 
 
 assert HOLDOUT == 64  # the bits below it are ray visibility

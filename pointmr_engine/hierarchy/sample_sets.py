@@ -20,6 +20,7 @@ from numba import njit
 from pointmr_engine.hierarchy.candidates import Candidates, Looks
 from pointmr_engine.hierarchy.exposure import exposure
 from pointmr_engine.hierarchy.octree import CHAIN, LEAF_TRIANGLES, SPACING, Octree
+from pointmr_engine.hierarchy.self_hiding import PLACES, seen_share
 from pointmr_engine.hierarchy.set_chunks import CHUNK_OF, bound_chunks, in_space_order
 from pointmr_engine.hierarchy.set_files import SetFiles, StoredSets
 from pointmr_engine.hierarchy.strategies import select
@@ -97,6 +98,7 @@ class SampleSets:
             CANDIDATE,
             CHUNK,
             LATTICE,
+            PLACES,
         )
         how = (strategy, seed, failure if strategy == "random" else 0.0)
         self.files = SetFiles(folder, octree.geometry, (how, constants)) if folder else None
@@ -341,6 +343,8 @@ class SampleSets:
             # what is hidden takes no part in means, but it fills gaps between what is seen: half of it, measured
             owned = owner >= 0
             row[:, AREA] = np.sqrt(row[:, AREA] * np.bincount(owner[owned], whole_area[owned], len(order)))
+        else:
+            row[:, AREA] *= seen_share(candidates.row, owner, len(order))
         typical = representative.astype(np.int64)
         typical_rows(candidates.row, owner, row, typical)
         made = Surfels(row, emission, candidates.source[typical], candidates.place[typical])

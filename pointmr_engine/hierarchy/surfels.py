@@ -16,10 +16,14 @@ from pointmr_engine.numerics.pointers import pointer_f64
 
 X, Y, Z, XX, XY, XZ, YY, YZ, ZZ, AREA, NX, NY, NZ, RED, GREEN, BLUE = range(16)
 COLUMNS = 16  # one cache line
+FLAT, ROUND = 0.95, 0.5  # mean normals of this length count as one direction, as all directions
 
 
 class Surfels(NamedTuple):
-    """S samples. `row` is all that drawing with simple shading reads; the rest is read for visible samples only."""
+    """S samples. `row` is all that drawing with simple shading reads; the rest is read for visible samples only.
+
+    AREA is that of the surface, less what pieces of one sample hide of each other (self_hiding).
+    """
 
     row: np.ndarray  # (S, 16) float32: columns X to BLUE; positions relative to the group's centre
     emission: (
