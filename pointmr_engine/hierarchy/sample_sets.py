@@ -72,7 +72,8 @@ class SampleSets:
     looks(part, triangle, u, v, width) -> candidates.Look: materials at points (n,) of parts' triangles, for
     samples as wide as `width` (n,) float32, metres in the mesh's space. strategy: one of strategies.STRATEGIES.
     folder: where sets are kept between runs and found again (set_files); None: nowhere. exposed: coarse sets
-    average what can be seen of their group (exposure), which is what images need; without, all of its surface.
+    average what can be seen of their group (exposure), and areas are less what a sample's pieces hide of each other
+    (self_hiding), which is what images need; without, they are all of the surface.
     """
 
     def __init__(
@@ -343,7 +344,7 @@ class SampleSets:
             # what is hidden takes no part in means, but it fills gaps between what is seen: half of it, measured
             owned = owner >= 0
             row[:, AREA] = np.sqrt(row[:, AREA] * np.bincount(owner[owned], whole_area[owned], len(order)))
-        else:
+        elif self.exposed:
             row[:, AREA] *= seen_share(candidates.row, owner, len(order))
         typical = representative.astype(np.int64)
         typical_rows(candidates.row, owner, row, typical)
