@@ -18,7 +18,7 @@ from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.warm import Helper, describe
 
-TILE_SIZES = (64, 32, 16)
+TILE_SIZES = (128, 64, 32, 16)
 SPLATTED = ("raytrace", "forward")  # methods that draw samples ...
 WALKED = ("raytrace", "conventional", "distributed")  # ... and those that walk rays
 
@@ -261,10 +261,14 @@ def _prepare(scene: Scene, compiled: Compiled, settings: RenderSettings, clock: 
     )
 
 
-def _tile_size(width: int, height: int) -> int:
-    """Tiles small enough to share out among threads; it must not depend on how many there are."""
+def _tile_size(width: int, height: int, samples: int, batch: int) -> int:
+    """Tiles small enough to share out among threads; it must not depend on how many there are.
+
+    Of few samples a pixel, tiles are larger: what takes many steps, each for few paths, is paid once a batch.
+    """
     for size in TILE_SIZES:
-        if -(-width // size) * -(-height // size) >= 16:
+        least = 4 if size * size * samples <= batch // 4 else 16
+        if -(-width // size) * -(-height // size) >= least:
             return size
     return TILE_SIZES[-1]
 
@@ -275,7 +279,7 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
 
     film = Film(settings)
     x0, y0, x1, y1 = film.region
-    tiles = film.tiles(_tile_size(x1 - x0, y1 - y0))
+    tiles = film.tiles(_tile_size(x1 - x0, y1 - y0, settings.samples, BATCH))
     stop = threading.Event()
     local = threading.local()
     spaces: list[Workspace] = []

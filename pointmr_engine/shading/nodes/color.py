@@ -7,7 +7,7 @@ import numpy as np
 from pointmr_engine.shading.nodes.converters import hsv_to_rgb, rgb_to_hsv
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, node
 from pointmr_engine.shading.spectra import RGB_FROM_XYZ, blackbody_rgb, wavelength_xyz
-from pointmr_engine.shading.values import divide, mix, saturate
+from pointmr_engine.shading.values import divide, mix, saturate, stack
 
 
 def _overlay(t, a, b):
@@ -151,10 +151,8 @@ def _mix_vector(c: Call) -> np.ndarray:
 def _hue_saturation(c: Call) -> np.ndarray:
     hsv = rgb_to_hsv(c["color"])
     hue = hsv[:, 0] + c["hue"] + np.float32(0.5)
-    parts = np.broadcast_arrays(
-        hue - np.floor(hue), saturate(hsv[:, 1] * c["saturation"]), hsv[:, 2] * c["value"]
-    )
-    return np.maximum(mix(c["color"], hsv_to_rgb(np.stack(parts, 1)), c.vector("fac")), 0)
+    hsv = stack(hue - np.floor(hue), saturate(hsv[:, 1] * c["saturation"]), hsv[:, 2] * c["value"])
+    return np.maximum(mix(c["color"], hsv_to_rgb(hsv), c.vector("fac")), 0)
 
 
 @node(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.shading.kernels.hsv import fill_hsv, fill_rgb
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, node
 from pointmr_engine.shading.values import luminance, stack
 
@@ -47,11 +48,9 @@ def _same(c: Call) -> np.ndarray:
 
 def rgb_to_hsv(rgb: np.ndarray) -> np.ndarray:
     """Hue 0..1, saturation and value of (n, 3) colours."""
-    high, low = rgb.max(1), rgb.min(1)
-    delta = high - low
-    hue = _hue(rgb, high, delta)
-    saturation = np.where(high != 0, delta / np.where(high != 0, high, 1), 0)
-    return stack(np.where(saturation != 0, hue, 0), saturation, high)
+    out = np.empty((len(rgb), 3), np.float32)
+    fill_hsv(np.ascontiguousarray(rgb, np.float32), out)
+    return out
 
 
 def rgb_to_hsl(rgb: np.ndarray) -> np.ndarray:
@@ -73,19 +72,9 @@ def _hue(rgb: np.ndarray, high: np.ndarray, delta: np.ndarray) -> np.ndarray:
 
 def hsv_to_rgb(hsv: np.ndarray) -> np.ndarray:
     """(n, 3) colours from hue 0..1 (1 is 0 again), saturation and value."""
-    h, s, v = hsv[:, 0], hsv[:, 1], hsv[:, 2]
-    h = np.where(h == 1, 0, h) * 6
-    sector = np.floor(h)
-    f = h - sector
-    p, q, t = v * (1 - s), v * (1 - s * f), v * (1 - s * (1 - f))
-    i = sector.astype(np.int64)
-    pick = [i == 0, i == 1, i == 2, i == 3, i == 4]
-    out = stack(
-        np.select(pick, [v, q, p, p, t], v),
-        np.select(pick, [t, v, v, q, p], p),
-        np.select(pick, [p, p, t, v, v], q),
-    )
-    return np.where((s == 0)[:, None], v[:, None], out)
+    out = np.empty((len(hsv), 3), np.float32)
+    fill_rgb(np.ascontiguousarray(hsv, np.float32), out)
+    return out
 
 
 def hsl_to_rgb(hsl: np.ndarray) -> np.ndarray:
