@@ -15,6 +15,7 @@ BOXES = 64  # of a group
 ROOM = 1 << 22  # boxes of all placements of a group that may be looked at, but for FEWEST of each
 FEWEST = 8
 OPENED = 8  # items of a group that are opened one by one, rather than by the nodes above them
+BITS = 10  # of a place along an axis
 EMPTY = -(2**31)
 
 
@@ -31,7 +32,7 @@ def allocate_covers(groups: int) -> Covers:
     """Room for all groups' boxes; untouched pages cost nothing."""
     rows = groups * BOXES
     return Covers(
-        np.arange(groups, dtype=np.int64) * BOXES,
+        np.zeros(groups, np.int64),
         np.zeros(groups, np.int64),
         np.empty((rows, 3)),
         np.empty((rows, 3)),
@@ -101,24 +102,16 @@ def turned(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return out
 
 
-def open_items(items: list[np.ndarray], limit: int) -> np.ndarray:
-    """At most `limit` boxes (K, 6) that hold items, each of which has boxes: one for each, or as many as fit.
-
-    Those of the largest item are taken first. Raises ValueError if there are more items than boxes.
-    """
-    if len(items) > limit:
-        raise ValueError(f"{len(items)} items do not fit into {limit} boxes")
-    wholes = [whole(rows) for rows in items]
-    left = limit - len(items)
-    chosen = []
-    for i in sorted(range(len(items)), key=lambda i: -float(wholes[i][3:].prod())):
-        fits = len(items[i]) - 1 <= left
-        chosen.append(items[i] if fits else wholes[i][None])
-        left -= len(items[i]) - 1 if fits else 0
-    return np.concatenate(chosen)
-
-
-def whole(rows: np.ndarray) -> np.ndarray:
-    """The box (6,) about boxes (K, 6)."""
-    low, high = (rows[:, :3] - rows[:, 3:]).min(0), (rows[:, :3] + rows[:, 3:]).max(0)
-    return np.concatenate([(low + high) / 2, (high - low) / 2])
+def fewer(rows: np.ndarray, limit: int) -> np.ndarray:
+    """At most `limit` boxes (K, 6) that hold boxes `rows`: runs of neighbours along a Morton curve become one."""
+    if len(rows) <= limit:
+        return rows
+    low, high = rows[:, :3] - rows[:, 3:], rows[:, :3] + rows[:, 3:]
+    extent = max(float((high.max(0) - low.min(0)).max()), 1e-300)
+    cell = ((rows[:, :3] - low.min(0)) * (0.999 * 2**BITS / extent)).astype(np.int64)
+    bit = np.arange(BITS)
+    key = (((cell[:, :, None] >> bit) & 1) << (3 * bit + np.arange(3)[:, None])).sum((1, 2))
+    order = np.argsort(key, kind="stable")
+    first = np.arange(limit) * len(rows) // limit
+    low, high = np.minimum.reduceat(low[order], first), np.maximum.reduceat(high[order], first)
+    return np.concatenate([(low + high) / 2, (high - low) / 2], 1)

@@ -12,7 +12,7 @@ from pointmr_engine.hierarchy.covers import (
     OPENED,
     ROOM,
     allocate_covers,
-    open_items,
+    fewer,
     placed_box,
     top_boxes,
     turned,
@@ -146,7 +146,7 @@ class GroupBuilder:
     def __init__(self, geometry: Geometry, shape_root: np.ndarray, warnings: list[str]):
         n = len(geometry.groups)
         self.geometry, self.warnings, self.shape_root = geometry, warnings, shape_root
-        self.covers = allocate_covers(n)
+        self.covers, self.covered = allocate_covers(n), 0
         self.placed = np.zeros(n, np.int64)  # how often each group is placed, at most
         for batch, first in zip(geometry.batches, geometry.instances.group_first, strict=True):
             self.placed[geometry.instances.batch_groups[first : first + len(batch.groups)]] += len(batch)
@@ -216,10 +216,11 @@ class GroupBuilder:
             rows = rows[: top_boxes(boxes, children, root, self.center[g], limit, rows)]
         else:
             items = [self._item(r, b, boxes, children) for r, b in zip(records, batches, strict=True)]
-            rows = open_items(items, limit)
-        at = np.s_[self.covers.first[g] : self.covers.first[g] + len(rows)]
-        self.covers.count[g] = len(rows)
-        self.covers.middle[at], self.covers.half[at] = rows[:, :3], rows[:, 3:]
+            rows = fewer(np.concatenate(items), limit)
+        covers, end = self.covers, self.covered + len(rows)
+        covers.first[g], covers.count[g] = self.covered, len(rows)
+        covers.middle[self.covered : end], covers.half[self.covered : end] = rows[:, :3], rows[:, 3:]
+        self.covered = end
 
     def _item(self, record: int, b: int, boxes, children) -> np.ndarray:
         """(K, 6) boxes of an item of a group, in the group's space."""

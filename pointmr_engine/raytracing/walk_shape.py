@@ -103,7 +103,8 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
     length, shift, pad, origin, direction, near, scale, shift_near, shift_far = localize(
         ox, oy, oz, dx, dy, dz, load_f64(w.part_radius, part)
     )
-    axes, o, shear = shear_of(origin, direction, scale)
+    axes, o, shear = (np.int64(0), np.int64(1), np.int64(2)), origin, scale
+    sheared = False  # most rays that enter small instances meet no triangle's box
     first_t = np.float32(t_min * length - shift - pad)
     last_t = np.float32(t_max[0] * length - shift + pad)
     best_t = np.float32(t_max[1] * length - shift + pad)
@@ -125,6 +126,9 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
                 continue
         else:
             block = ~node
+            if not sheared:
+                axes, o, shear = shear_of(origin, direction, scale)
+                sheared = True
             mask = triangle_test(w.blocks, block, axes, o, shear, first_t, last_t, lanes)
             exact = mask >> 8
             mask &= 255
