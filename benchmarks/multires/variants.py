@@ -18,7 +18,9 @@ ABOUT = {
 
 def variant(source: Source, kind: str) -> Source:
     """The source of the scene `kind`, of ABOUT, of another source. Raises KeyError for an unknown kind."""
-    change = {"coverage": shine, "silhouettes": blacken, "shading": unshadow, "shadows": darken, "all": None}[kind]
+    change = {"coverage": shine, "silhouettes": blacken, "shading": unshadow, "shadows": darken, "all": None}[
+        kind
+    ]
     if change is None:
         return source
 

@@ -36,6 +36,7 @@ from pointmr_engine.numerics.simd_terms import Terms
 # radii of an ellipse in standard deviations of its piece: a disk's edge is at 2; a tenth closes gaps
 REACH = BALL_REACH
 SOLID = 1.25  # times a piece's projected area over its ellipse's: from 1 on it is drawn without gaps
+SPARSE = 0.4  # of its ellipse: a piece that fills less is drawn as a clump
 SURFACE, CLUMP = (
     0.2,
     0.6,
@@ -186,7 +187,11 @@ def shape_eight(typingctx, rows, first, constants, out):
         bulk = minor / (third * third * third).at_least(1e-37)
         solid = ((t.constant(CLUMP) - bulk) * (1.0 / (CLUMP - SURFACE))).at_least(0.0).at_most(1.0)
         clump = t.constant(1.0) - solid
-        opacity = solid * (ratio * SOLID).at_most(2.0) + clump * (ratio * DENSE).at_most(1.0)
+        # a twig with its needles is no surface, however thin
+        filled = ((ratio - SPARSE) * (1.0 / (1.0 / SOLID - SPARSE))).at_least(0.0).at_most(1.0) * solid
+        opacity = filled * (ratio * SOLID).at_most(2.0) + (t.constant(1.0) - filled) * (
+            ratio * DENSE
+        ).at_most(1.0)
         shown = solid * area + clump * area.at_most(disk)
         shown = shown.where((facing * kx * ky) > 0.0, t.constant(0.0) - shown)
         unit = t.constant(1.0).where(perspective, constant(DEPTH_SCALE))

@@ -340,12 +340,14 @@ class SampleSets:
         if len(candidates.emission) == 1:
             emission[:] = candidates.emission
         merge_surfels(candidates.row, candidates.emission, owner, representative, row, emission)
-        if whole_area is not None:
-            # what is hidden takes no part in means, but it fills gaps between what is seen: half of it, measured
-            owned = owner >= 0
-            row[:, AREA] = np.sqrt(row[:, AREA] * np.bincount(owner[owned], whole_area[owned], len(order)))
-        elif self.exposed:
-            row[:, AREA] *= seen_share(candidates.row, owner, len(order))
+        if self.exposed:
+            real = candidates.row
+            if whole_area is not None:
+                real = real.copy()
+                real[:, AREA] = whole_area
+                owned = owner >= 0
+                row[:, AREA] = np.bincount(owner[owned], whole_area[owned], len(order))
+            row[:, AREA] *= seen_share(real, owner, len(order))
         typical = representative.astype(np.int64)
         typical_rows(candidates.row, owner, row, typical)
         made = Surfels(row, emission, candidates.source[typical], candidates.place[typical])
