@@ -1,7 +1,7 @@
 """The bias of method "raytrace" taken apart: coverage, shading and occlusion, each with the others switched off.
 
     python -m benchmarks.multires.bias [--scenes dragon_far ...] [--size 160x120] [--cones 1] [--images 6]
-        [--kinds coverage shading shadows all] [--reference-samples 1024]
+        [--kinds coverage silhouettes shading shadows all] [--reference-samples 1024]
 
 Bias is relMSE less the noise of the images and of the reference, both told from independent seeds. What does not change
 from seed to seed belongs to it: the pattern of samples and of subpixels, too. It is not additive: what is switched off

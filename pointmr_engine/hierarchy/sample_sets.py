@@ -341,13 +341,10 @@ class SampleSets:
             emission[:] = candidates.emission
         merge_surfels(candidates.row, candidates.emission, owner, representative, row, emission)
         if self.exposed:
-            real = candidates.row
-            if whole_area is not None:
-                real = real.copy()
-                real[:, AREA] = whole_area
-                owned = owner >= 0
-                row[:, AREA] = np.bincount(owner[owned], whole_area[owned], len(order))
-            row[:, AREA] *= seen_share(real, owner, len(order))
+            if whole_area is not None:  # what is hidden takes no part in means, but it covers
+                area, owned = whole_area, owner >= 0
+                row[:, AREA] = np.bincount(owner[owned], area[owned], len(order))
+            row[:, AREA] *= seen_share(candidates.row, area, owner, len(order))
         typical = representative.astype(np.int64)
         typical_rows(candidates.row, owner, row, typical)
         made = Surfels(row, emission, candidates.source[typical], candidates.place[typical])
@@ -356,7 +353,7 @@ class SampleSets:
     def _exposed(self, g: int, ranges: np.ndarray, spacing: float) -> tuple[Surfels, np.ndarray, np.ndarray]:
         """Candidates as `Candidates.gather` has them, fine enough to tell what hides what; hidden ones lose area.
 
-        The third value is the area (N,) that they had.
+        The third value is the area (N,) float32 that they had.
         """
         fine = float(self.octree.arrays.group_side[g]) / EXPOSED_CELLS
         candidates, node = self._candidates.gather(
@@ -368,7 +365,7 @@ class SampleSets:
                 self._exposures[key] = exposure(candidates.row)
         row = candidates.row.copy()
         row[:, AREA] *= self._exposures[key]
-        return candidates._replace(row=row), node, candidates.row[:, AREA].astype(np.float64)
+        return candidates._replace(row=row), node, np.ascontiguousarray(candidates.row[:, AREA])
 
     # What stands for a group's surface
 

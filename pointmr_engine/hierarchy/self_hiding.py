@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.set_chunks import BALL_REACH
-from pointmr_engine.hierarchy.surfels import AREA, FLAT, NX, NY, NZ, ROUND, XX, XY, XZ, YY, YZ, ZZ, X, Y, Z
+from pointmr_engine.hierarchy.surfels import FLAT, NX, NY, NZ, ROUND, XX, XY, XZ, YY, YZ, ZZ, X, Y, Z
 from pointmr_engine.numerics.rng import pixel_seed
 
 PLACES = 16  # of a sample's pieces, at whose middles it is looked at, at most
@@ -27,14 +27,15 @@ AXES = np.array([[2.0, 2.0, 1.0], [-2.0, 1.0, 2.0], [1.0, -2.0, 2.0]]) / 3.0
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
 
-def seen_share(row: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
+def seen_share(row: np.ndarray, area: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
     """(count,) float64: the share of its pieces' projected areas that a sample covers, 1 where none hides another.
 
-    row (C, 16) float32 candidates, owner (C,) int32 the sample of each, -1: none.
+    row (C, 16) float32 candidates, area (C,) float32 of each, in place of what the rows say; owner (C,) int32 the
+    sample of each, -1: none.
     """
     first, order = _by_owner(owner, np.int64(count))
     share = np.ones(count)
-    _measure(row, first, order, AXES, share)
+    _measure(row, area, first, order, AXES, share)
     return share
 
 
@@ -57,25 +58,25 @@ def _by_owner(owner, count):
 
 
 @_jit
-def _is_surface(row, members):
+def _is_surface(row, area, members):
     """Whether the normals of members, all taken to one side, are nearly one: a surface's pieces lie side by side."""
     r = members[0]
     for c in members:
-        if row[c, AREA] > row[r, AREA]:
+        if area[c] > area[r]:
             r = c
-    x = y = z = area = 0.0
+    x = y = z = total = 0.0
     for c in members:
         side = row[c, NX] * row[r, NX] + row[c, NY] * row[r, NY] + row[c, NZ] * row[r, NZ]
-        w = np.float64(-row[c, AREA] if side < 0.0 else row[c, AREA])
+        w = np.float64(-area[c] if side < 0.0 else area[c])
         x += w * row[c, NX]
         y += w * row[c, NY]
         z += w * row[c, NZ]
-        area += row[c, AREA]
-    return x * x + y * y + z * z > (FLAT * area) ** 2
+        total += area[c]
+    return x * x + y * y + z * z > (FLAT * total) ** 2
 
 
 @_jit
-def _project(row, c, axes, turn, out):
+def _project(row, area, c, axes, turn, out):
     """out (8,): place across direction `turn` of axes, depth along it, inverse of the ellipse, projected area, opacity.
 
     An ellipse d^T [[a, b], [b, c]] d <= 1 as large as what the piece covers, or, of a clump, half transparent.
@@ -107,17 +108,17 @@ def _project(row, c, axes, turn, out):
     length = math.sqrt(row[c, NX] ** 2 + row[c, NY] ** 2 + row[c, NZ] ** 2)
     facing = abs(row[c, NX] * w[0] + row[c, NY] * w[1] + row[c, NZ] * w[2])
     flat = min(max((length - ROUND) / (FLAT - ROUND), 0.0), 1.0)
-    area = row[c, AREA] * (flat * facing + (1.0 - flat) * 0.5)
+    seen = area[c] * (flat * facing + (1.0 - flat) * 0.5)
     det = max(a * d - b * b, 1e-60)
     root = math.sqrt(det)
-    reach = min(GAPS * area / (math.pi * root), MOST)
+    reach = min(GAPS * seen / (math.pi * root), MOST)
     out[3], out[4], out[5] = d / (det * reach), -b / (det * reach), a / (det * reach)
-    out[6] = area
-    out[7] = min(area / (math.pi * root * MOST), 1.0) if reach == MOST else 1.0
+    out[6] = seen
+    out[7] = min(seen / (math.pi * root * MOST), 1.0) if reach == MOST else 1.0
 
 
 @_jit
-def _measure(row, first, order, axes, share):
+def _measure(row, area, first, order, axes, share):
     most = 0
     for k in range(len(share)):
         most = max(most, first[k + 1] - first[k])
@@ -125,20 +126,17 @@ def _measure(row, first, order, axes, share):
     for k in range(len(share)):
         members = order[first[k] : first[k + 1]]
         n = len(members)
-        if n < 2 or _is_surface(row, members):
+        if n < 2 or _is_surface(row, area, members):
             continue
         places = min(n, PLACES)
         total = seen = 0.0
         for turn in range(3):
             for i in range(n):
-                _project(row, members[i], axes, turn, shape[i])
+                _project(row, area, members[i], axes, turn, shape[i])
             for place in range(places):
-                # by chance: at even steps a mesh's order would show
-                i = (
-                    place
-                    if n <= PLACES
-                    else np.int64(pixel_seed(np.int64(k), np.int64(place), np.int64(turn))) % n
-                )
+                i = np.int64(place)
+                if n > PLACES:  # by chance: at even steps a mesh's order would show
+                    i = np.int64(pixel_seed(np.int64(k), i, np.int64(turn))) % n
                 x, y, depth = shape[i, 0], shape[i, 1], shape[i, 2]
                 through = 1.0
                 for j in range(n):

@@ -41,7 +41,7 @@ def tube(sides: int, length: float, radius: float) -> np.ndarray:
 def share_of(row: np.ndarray) -> float:
     """The mean of many samples of the same pieces, each of which is looked at in other places."""
     owner = np.repeat(np.arange(TIMES, dtype=np.int32), len(row))
-    return float(seen_share(np.tile(row, (TIMES, 1)), owner, TIMES).mean())
+    return float(seen_share(np.tile(row, (TIMES, 1)), np.tile(row[:, AREA], TIMES), owner, TIMES).mean())
 
 
 def test_a_surface_hides_nothing_of_itself_flat_or_bent():
@@ -104,7 +104,7 @@ def test_samples_do_not_hide_each_other_and_strangers_count_for_none():
     row[::2, NX], row[::2, NZ] = 0.6, 0.8
     half = len(row) // 2
     owner = np.repeat(np.int32([0, 2]), half)
-    share = seen_share(row, owner, 3)
+    share = seen_share(row, row[:, AREA].copy(), owner, 3)
     assert share[0] > 0.9 and share[1] == 1.0 and share[2] > 0.9
     owner[half:] = -1
-    assert seen_share(row, owner, 1)[0] > 0.9
+    assert seen_share(row, row[:, AREA].copy(), owner, 1)[0] > 0.9
