@@ -1,6 +1,7 @@
 """Whole renders by the engine: closed forms, determinism, cancelling, and what becomes of bad input."""
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +73,27 @@ def test_the_image_does_not_depend_on_threads(method):
     assert not np.array_equal(one, combined(scene, method=method, width=70, height=50, seed=1)) or (
         method == "conventional"
     )
+
+
+def test_one_ray_a_pixel_takes_larger_tiles_and_the_image_does_not_depend_on_them(monkeypatch):
+    world = uniform_world((0.1, 0.2, 0.3))
+    scene, sizes = lit_floor(world=world), {"method": "conventional", "width": 300, "height": 200}
+
+    def tiles() -> tuple[int, np.ndarray]:
+        found = set()
+        settings = replace(TINY, **sizes)
+        image = render(
+            scene, settings, progress=lambda fraction, text, tile: found.add(tile and tile[:2]) and False
+        )
+        return len(found - {None}), image.passes["combined"]
+
+    few, large = tiles()
+    monkeypatch.setattr(
+        sys.modules["pointmr_engine.render"], "TILE_SIZES", (32,)
+    )  # the name is the function's, too
+    many, small = tiles()
+    assert (few, many) == (6, 70)
+    np.testing.assert_array_equal(large, small)
 
 
 def test_every_pass_is_finite_and_depth_says_where_nothing_is():
