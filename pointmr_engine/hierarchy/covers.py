@@ -11,12 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from pointmr_engine.hierarchy.bvh_build import EMPTY
+
 BOXES = 64  # of a group
 ROOM = 1 << 22  # boxes of all placements of a group that may be looked at, but for FEWEST of each
 FEWEST = 8
 OPENED = 8  # items of a group that are opened one by one, rather than by the nodes above them
 BITS = 10  # of a place along an axis
-EMPTY = -(2**31)
 
 
 class Covers(NamedTuple):
