@@ -19,6 +19,7 @@ from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.warm import Helper, describe
 
 TILE_SIZES = (128, 64, 32, 16)
+MOST_SIZE = 64  # of many samples a pixel
 SPLATTED = ("raytrace", "forward")  # methods that draw samples ...
 WALKED = ("raytrace", "conventional", "distributed")  # ... and those that walk rays
 
@@ -267,8 +268,8 @@ def _tile_size(width: int, height: int, samples: int, batch: int) -> int:
     Of few samples a pixel, tiles are larger: what takes many steps, each for few paths, is paid once a batch.
     """
     for size in TILE_SIZES:
-        least = 4 if size * size * samples <= batch // 4 else 16
-        if -(-width // size) * -(-height // size) >= least:
+        few = size * size * samples <= batch // 4
+        if (few or size <= MOST_SIZE) and -(-width // size) * -(-height // size) >= (4 if few else 16):
             return size
     return TILE_SIZES[-1]
 

@@ -20,7 +20,7 @@ from numba import njit
 from pointmr_engine.hierarchy.candidates import Candidates, Looks
 from pointmr_engine.hierarchy.exposure import exposure
 from pointmr_engine.hierarchy.octree import CHAIN, LEAF_TRIANGLES, SPACING, Octree
-from pointmr_engine.hierarchy.self_hiding import PLACES, seen_share
+from pointmr_engine.hierarchy.self_hiding import GAPS, PLACES, seen_share
 from pointmr_engine.hierarchy.set_chunks import CHUNK_OF, bound_chunks, in_space_order
 from pointmr_engine.hierarchy.set_files import SetFiles, StoredSets
 from pointmr_engine.hierarchy.strategies import select
@@ -100,6 +100,7 @@ class SampleSets:
             CHUNK,
             LATTICE,
             PLACES,
+            GAPS,
         )
         how = (strategy, seed, failure if strategy == "random" else 0.0)
         self.files = SetFiles(folder, octree.geometry, (how, constants)) if folder else None

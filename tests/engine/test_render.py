@@ -96,6 +96,13 @@ def test_one_ray_a_pixel_takes_larger_tiles_and_the_image_does_not_depend_on_the
     np.testing.assert_array_equal(large, small)
 
 
+@pytest.mark.parametrize(
+    "size, samples, tile", [((640, 480), 1, 128), ((640, 480), 64, 64), ((160, 120), 64, 32)]
+)
+def test_tiles_are_large_only_where_samples_are_few(size, samples, tile):
+    assert sys.modules["pointmr_engine.render"]._tile_size(*size, samples, 65536) == tile
+
+
 def test_every_pass_is_finite_and_depth_says_where_nothing_is():
     passes = ("combined", "depth", "position", "normal", "diffuse_color", "emission", "object_index",
               "material_index", "sample_count")  # fmt: skip
