@@ -18,9 +18,8 @@ ABOUT = {
 
 def variant(source: Source, kind: str) -> Source:
     """The source of the scene `kind`, of ABOUT, of another source. Raises KeyError for an unknown kind."""
-    change = {"coverage": shine, "silhouettes": blacken, "shading": unshadow, "shadows": darken, "all": None}[
-        kind
-    ]
+    changes = {"coverage": shine, "silhouettes": blacken, "shading": unshadow, "shadows": darken, "all": None}
+    change = changes[kind]
     if change is None:
         return source
 

@@ -25,6 +25,7 @@ from pointmr_engine.scene.group import CAMERA
 from tests.engine.small_scenes import at, from_above, lit_floor, quad
 
 TINY = RenderSettings(width=24, height=16, method="distributed", samples=4)
+RENDER = sys.modules["pointmr_engine.render"]  # the module: its name is the function's, too
 
 
 def combined(scene, **settings):
@@ -88,9 +89,7 @@ def test_one_ray_a_pixel_takes_larger_tiles_and_the_image_does_not_depend_on_the
         return len(found - {None}), image.passes["combined"]
 
     few, large = tiles()
-    monkeypatch.setattr(
-        sys.modules["pointmr_engine.render"], "TILE_SIZES", (32,)
-    )  # the name is the function's, too
+    monkeypatch.setattr(RENDER, "TILE_SIZES", (32,))
     many, small = tiles()
     assert (few, many) == (6, 70)
     np.testing.assert_array_equal(large, small)
@@ -100,7 +99,7 @@ def test_one_ray_a_pixel_takes_larger_tiles_and_the_image_does_not_depend_on_the
     "size, samples, tile", [((640, 480), 1, 128), ((640, 480), 64, 64), ((160, 120), 64, 32)]
 )
 def test_tiles_are_large_only_where_samples_are_few(size, samples, tile):
-    assert sys.modules["pointmr_engine.render"]._tile_size(*size, samples, 65536) == tile
+    assert RENDER._tile_size(*size, samples, 65536) == tile
 
 
 def test_every_pass_is_finite_and_depth_says_where_nothing_is():

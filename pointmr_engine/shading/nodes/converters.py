@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.shading.kernels.hsv import fill_hsv, fill_rgb
+from pointmr_engine.shading.kernels.hsv import fill_hsl, fill_hsv, fill_rgb
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, node
 from pointmr_engine.shading.values import luminance, stack
 
@@ -46,35 +46,26 @@ def _same(c: Call) -> np.ndarray:
     return value
 
 
+def _filled(kernel, colors: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 that a kernel of kernels.hsv makes of (n, 3) colours."""
+    out = np.empty((len(colors), 3), np.float32)
+    kernel(np.ascontiguousarray(colors, np.float32), out)
+    return out
+
+
 def rgb_to_hsv(rgb: np.ndarray) -> np.ndarray:
     """Hue 0..1, saturation and value of (n, 3) colours."""
-    out = np.empty((len(rgb), 3), np.float32)
-    fill_hsv(np.ascontiguousarray(rgb, np.float32), out)
-    return out
+    return _filled(fill_hsv, rgb)
 
 
 def rgb_to_hsl(rgb: np.ndarray) -> np.ndarray:
     """Hue 0..1, saturation and lightness of (n, 3) colours."""
-    high, low = rgb.max(1), rgb.min(1)
-    delta = high - low
-    lightness = np.minimum((high + low) / 2, 1)
-    scale = np.where(lightness > 0.5, 2 - high - low, high + low)
-    saturation = np.where(delta != 0, delta / np.where(scale != 0, scale, 1), 0)
-    return stack(np.where(delta != 0, _hue(rgb, high, delta), 0), saturation, lightness)
-
-
-def _hue(rgb: np.ndarray, high: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    d = np.where(delta != 0, delta, 1)
-    r, g, b = rgb[:, 0], rgb[:, 1], rgb[:, 2]
-    hue = np.where(r == high, (g - b) / d, np.where(g == high, 2 + (b - r) / d, 4 + (r - g) / d)) / 6
-    return np.where(delta != 0, np.where(hue < 0, hue + 1, hue), 0)
+    return _filled(fill_hsl, rgb)
 
 
 def hsv_to_rgb(hsv: np.ndarray) -> np.ndarray:
     """(n, 3) colours from hue 0..1 (1 is 0 again), saturation and value."""
-    out = np.empty((len(hsv), 3), np.float32)
-    fill_rgb(np.ascontiguousarray(hsv, np.float32), out)
-    return out
+    return _filled(fill_rgb, hsv)
 
 
 def hsl_to_rgb(hsl: np.ndarray) -> np.ndarray:
