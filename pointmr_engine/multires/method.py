@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.forward.fragment_surfaces import NO_EYES
 from pointmr_engine.forward.method import Image
 from pointmr_engine.forward.pixel_filter import Slopes, allocate_slopes
@@ -21,9 +22,11 @@ from pointmr_engine.multires.cone_paths import ConePaths
 from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
 from pointmr_engine.multires.light_sharing import REACH
 from pointmr_engine.multires.looks import look_where_seen
-from pointmr_engine.multires.merge import choose_seen, merge_fragments, thin_margin
+from pointmr_engine.multires.merge import choose_seen, merge_fragments, renumber, thin_margin
 from pointmr_engine.multires.opacity_micromap import with_micromap
+from pointmr_engine.multires.representatives import bring_forward, choose_representatives, lend_light
 from pointmr_engine.multires.slopes import COLUMNS, find_slopes
+from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -69,6 +72,9 @@ class TracedImage(Image):
         self.cone = self.subpixels // side  # subpixels per side of a cone
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.hardly = 0.0
+        materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
+        # of materials, and of none
+        self.shining = np.array([*(sampled_sides(m, p) != 0 for m, p in materials), False], np.bool_)
         self.tile = max(WIDTH // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
@@ -114,6 +120,7 @@ class TracedShading:
         for first in range(0, count, BATCH):
             paths.trace(hierarchy, values, first, min(BATCH, count - first))
         paths.finish_tile(count)
+        space.lend(count)
 
     def paths(self, space: TracedTiles) -> FragmentPaths:
         """The thread's paths, made when it first shades."""
@@ -132,6 +139,7 @@ class TracedTiles(Workspace):
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
         self.seen = np.empty((n, 2), np.int32)
+        self.stands, self.all = np.empty(n, np.int32), 0  # of fragments, those that borrow their light included
         self.eyes = NO_EYES  # that see the fragments
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)
@@ -148,8 +156,12 @@ class TracedTiles(Workspace):
             np.int64(first), rows, self.seen, direction, rays,
         )  # fmt: skip
 
+    def lend(self, count: int) -> None:
+        """Give the fragments behind the first `count` the light of those that stand for them."""
+        lend_light(self.light, self.stands, np.int64(count), np.int64(self.all))
+
     def _slopes(self, count: int) -> Slopes:
-        image = self.image
+        image, count = self.image, max(count, self.all)
         sums, slopes = np.empty((count, COLUMNS), np.float32), allocate_slopes(count)
         find_slopes(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
@@ -172,8 +184,23 @@ class TracedTiles(Workspace):
                 np.int64(image.beside * image.subpixels), np.int64(image.cone), self.fragments, np.int64(merged),
                 self.into, self.largest,
             )  # fmt: skip
+        shaded = self._stand_in(hierarchy, merged)
         choose_seen(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
             np.int64(merged), self.largest, self.seen,
         )  # fmt: skip
-        return merged
+        return shaded
+
+    def _stand_in(self, hierarchy, count: int) -> int:
+        """Put the fragments that are to be shaded before those that borrow their light; returns how many."""
+        self.all = count
+        f, material = self.fragments, np.empty(count, np.int32)
+        materials_of(hierarchy.parts, f.part[:count], f.triangle[:count], material)
+        shape = self.height // self.cell, self.width // self.cell
+        choose_representatives(
+            f, np.int64(count), self.image.shining[material], np.int64(self.cell), shape, np.int64(self.left),
+            np.int64(self.low), np.int64(self.image.settings.seed), self.stands,
+        )  # fmt: skip
+        shaded = bring_forward(f, np.int64(count), self.stands, self.into, self.largest)
+        renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
+        return shaded
