@@ -8,9 +8,9 @@ import numpy as np
 
 from pointmr_engine.forward.fragments import ray_through
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.rng import sample_2d
+from pointmr_engine.numerics.rng import R2, sample_2d
 
-AROUND = 0x5AD0  # first dimension set of the numbers that `look_around` takes
+AROUND = 0x5AD0  # dimension set of the numbers that `look_around` takes
 OFF = 1.0  # footprints: farthest from the fragment's plane that a point of its surface may be found
 ALIKE = 0.9  # least cosine between the normals of a fragment and of a point of its surface
 
@@ -77,11 +77,13 @@ def look_around(
 ):
     """Rays 0..len(rows) through other places of the cells, `cell` subpixels wide, that show fragments first + rows.
 
-    slot (N,): the fragments' samples; turn: which of the looks at the same fragments this is.
+    slot (N,): the fragments' samples; turn: which of the looks at the same fragments this is, that they lie apart.
     """
     for i in range(len(rows)):
         f, s = first + rows[i], slot[rows[i]]
-        u, v = sample_2d(tables, samples.seed[s], np.uint32(AROUND + turn), samples.number[s])
+        u, v = sample_2d(tables, samples.seed[s], np.uint32(AROUND), samples.number[s])
+        u, v = u + turn * R2[0], v + turn * R2[1]
+        u, v = u - math.floor(u), v - math.floor(v)
         x = left + fragments.x[f] + (u - 0.5) * cell
         y = low + fragments.y[f] + (v - 0.5) * cell
         x, y = ray_through(view, x, y)

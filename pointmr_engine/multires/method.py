@@ -34,7 +34,7 @@ SUBPIXELS = 8  # per side of a cone
 WIDTH = 96  # cones per side of a tile with its margins: larger ones shade less twice, and take more memory
 CELL = 4  # subpixels per side of the part of a cone in which fragments merge
 # samples per cone's footprint. By alpha, surfels' Gaussians are wider than their spacing already
-DENSITY, DENSITY_OF_ALPHA = 16.0, 4.0
+DENSITY, DENSITY_OF_ALPHA = 32.0, 4.0
 FRAGMENTS = 4  # of a cone, about: what one ray of a fragment's lobes stands for
 
 
