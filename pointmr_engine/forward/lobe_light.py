@@ -28,13 +28,12 @@ from pointmr_engine.shading.bsdf.layout import (
     REFRACTION,
     SAMPLE,
     SHEEN,
-    SINGULAR_ALPHA_SQUARED,
-    SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
 )
 from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
 from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
+from pointmr_engine.shading.bsdf.widening import is_microfacet, set_roughness
 from pointmr_engine.shading.lobes import evaluate
 
 FOUR, SIXTEEN = 0.05, 0.6  # solid angles (sr) from which a lamp is four or sixteen points ...
@@ -49,18 +48,8 @@ _GLITTER = 0.125  # squared roughness that a light's squared angular radius is a
 def _widen(lobes, i, alpha, extra):
     """Give the microfacet lobes of point i their roughness `alpha` (n, L, 2) and `extra` squared roughness."""
     for j in range(np.int64(lobes.count[i])):
-        kind = lobes.kind[i, j]
-        base = kind & KIND_MASK
-        if base <= TRANSLUCENT or base == ASHIKHMIN_SHIRLEY:
-            continue
-        x, y = np.float64(alpha[i, j, 0]), np.float64(alpha[i, j, 1])
-        x, y = min(math.sqrt(x * x + extra), 1.0), min(math.sqrt(y * y + extra), 1.0)
-        lobes.data[i, j, ALPHA_X] = x
-        lobes.data[i, j, ALPHA_Y] = y
-        if x * y > SINGULAR_ALPHA_SQUARED:
-            lobes.kind[i, j] = kind & ~SINGULAR_LOBE
-        else:
-            lobes.kind[i, j] = kind | SINGULAR_LOBE
+        if is_microfacet(lobes.kind[i, j]):
+            set_roughness(lobes, i, j, np.float64(alpha[i, j, 0]), np.float64(alpha[i, j, 1]), extra)
 
 
 @uncounted

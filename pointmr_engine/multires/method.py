@@ -57,14 +57,14 @@ class TracedImage(Image):
     def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
         if stage.needs.transparent_shadows:
             stage = replace(stage, acceleration=with_micromap(stage.acceleration, sampler))
-        self.stage = stage
+        side = math.isqrt(settings.raytrace.cones)
+        self.stage = stage = replace(stage, shader=stage.shader.narrowed(side * SUBPIXELS / CELL))
         self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
         alpha = settings.raytrace.visibility == "alpha"
         if alpha and stage.needs.lens:
             alpha = False
             self.warnings = ["visibility by alpha knows no depth of field: subpixel masks are used instead"]
         super().__init__(sampler, scene, stage.camera, primary_settings(settings, alpha))
-        side = math.isqrt(settings.raytrace.cones)
         # pixels about the tile that its own share light with: taps of no weight
         self.beside = math.ceil(REACH / side) if self.light is not None and self.light.shares else 0
         self.taps = np.pad(self.taps, self.beside * self.subpixels)
@@ -139,7 +139,7 @@ class TracedTiles(Workspace):
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
         self.seen = np.empty((n, 2), np.int32)
-        self.stands, self.all = np.empty(n, np.int32), 0  # of fragments, those that borrow their light included
+        self.stands, self.all = np.empty(n, np.int32), 0  # of all fragments, those that borrow their light too
         self.eyes = NO_EYES  # that see the fragments
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)

@@ -1,4 +1,4 @@
-"""Representatives: of the smallest fragments of a cell some are shaded, chosen by chance, and lend the others their light.
+"""Representatives: of the smallest fragments of a cell some are shaded, by chance, and lend the others their light.
 
 Where leaves or needles show a subpixel or two each, light that is found for every one of them costs far more than it
 tells: what one lends to RUN subpixels adds less to the error than the time is worth that it saves. A choice in

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from numba import njit
 
@@ -12,7 +14,8 @@ from pointmr_engine.raytracing.surface import Frames, RayState, gather
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
-from pointmr_engine.shading.footprint_mean import footprint_means
+from pointmr_engine.shading.bsdf.widening import widen_lobes
+from pointmr_engine.shading.footprint_mean import footprint_means, slope_variance
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_SINGULAR
 from pointmr_engine.shading.program import Program
 
@@ -71,9 +74,21 @@ class Shader:
         self.reflective = settings.caustics_reflective
         self.refractive = settings.caustics_refractive
         self.seed = settings.seed
+        self.footprints = 1.0  # of rays, to the width of a pixel
         self.bump_correction = [m is None or m.bump_method != "NONE" for m in geometry.materials]
         # materials that add nothing to a path that may not scatter again
         self.dull = np.array([p.opaque and not p.emissive for p in programs] + [True], np.bool_)
+
+    def narrowed(self, footprints: float) -> Shader:
+        """The same for rays of which so many footprints are as wide as a pixel."""
+        shader = copy(self)
+        shader.footprints = footprints
+        return shader
+
+    def _gather(self, rays, hits, frames, rows, needs, state, material):
+        points = gather(self.geometry, rays, hits, frames, rows, needs, state, material)
+        points.footprints = self.footprints
+        return points
 
     def lobes_at(
         self,
@@ -94,10 +109,14 @@ class Shader:
             rows = order[start[m] : start[m + 1]]
             if not len(rows):
                 continue
-            points = gather(self.geometry, rays, hits, frames, rows, program.needs, state, m)
+            points = self._gather(rays, hits, frames, rows, program.needs, state, m)
             means = self._means(program, rays, hits, frames, rows, state, m) if program.fine_needs else None
             for leaf in program.evaluate(points, means):
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
+            if means is not None and program.fine_normals:
+                seen, values = means
+                normals = [values[name] for name in program.fine_normals]
+                widen_lobes(out, rows[seen], slope_variance(normals))
 
     def _means(self, program: Program, rays, hits, frames, rows, state, material):
         """Fine textures averaged over the footprints of what is seen directly, in mirrors or through glass."""
@@ -109,9 +128,11 @@ class Shader:
             return None
 
         def points(index: np.ndarray):
-            return gather(self.geometry, rays, hits, frames, index, program.fine_needs, state, material)
+            return self._gather(rays, hits, frames, index, program.fine_needs, state, material)
 
-        return seen, footprint_means(program.fine_values, points, rows[seen], program.fine_reads, self.seed)
+        return seen, footprint_means(
+            program.fine_values, points, rows[seen], program.fine_reads, self.seed, program.fine_normals
+        )
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray
@@ -124,8 +145,7 @@ class Shader:
             if program.opaque:
                 continue
             chosen = np.flatnonzero(material == m)
-            points = gather(
-                self.geometry, rays, hits, frames, rows[chosen], program.transparency_needs, state, int(m)
-            )
+            needs = program.transparency_needs
+            points = self._gather(rays, hits, frames, rows[chosen], needs, state, int(m))
             share[chosen] = program.transparency(points)
         return share

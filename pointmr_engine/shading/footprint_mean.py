@@ -20,6 +20,7 @@ GRAZING = 0.05  # cosine below which footprints on a surface grow no further
 ALIKE = 0.1  # of their mean: largest difference between the first places' values that needs no others
 FAINT = 0.01  # added to that mean
 FIRST, ALL = 4, 16  # places of a footprint
+OF_FEW = FIRST / (FIRST - 1)  # times the variance about the mean of so few
 
 # the first points of Sobol's sequence: any 4 and all 16 are stratified
 _U = np.array([0, 8, 12, 4, 6, 14, 10, 2, 3, 11, 15, 7, 5, 13, 9, 1], np.float64) / ALL
@@ -32,16 +33,18 @@ def footprint_means(
     rows: np.ndarray,
     needs: frozenset[str],
     seed: int = 0,
+    few: frozenset = frozenset(),
 ) -> dict:
     """Values by name, each (n,) or (n, 3) float32: the means over the footprints of points `rows` (n,).
 
     run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
-    with NEEDS. seed: another one has other places.
+    with NEEDS. seed: another one has other places. few: names of values for which the first places are enough.
     """
     first = _at_places(run, gather, rows, needs, seed, 0, FIRST)
     mean = {name: v.mean(0) for name, v in first.items()}
     differs = np.zeros(len(rows), np.bool_)
-    for name, v in first.items():
+    for name in first.keys() - few:
+        v = first[name]
         apart = v.max(0) - v.min(0) > ALIKE * (np.abs(mean[name]) + FAINT)
         differs |= apart if apart.ndim == 1 else apart.any(1)
     more = np.flatnonzero(differs)
@@ -50,6 +53,14 @@ def footprint_means(
         for name, v in rest.items():
             mean[name][more] = (mean[name][more] * FIRST + v.sum(0)) / np.float32(ALL)
     return mean
+
+
+def slope_variance(means: list[np.ndarray]) -> np.ndarray:
+    """(n,) float32 variance of slopes along one axis, of unit normals of which means (n, 3) of FIRST places are given;
+    of several, the largest (Toksvig 2005, "Mipmapping Normal Maps").
+    """
+    length = np.sqrt(np.min([dot(m, m) for m in means], axis=0))
+    return np.maximum(1.0 / np.maximum(length, 0.1) - 1.0, 0.0).astype(np.float32) * np.float32(OF_FEW)
 
 
 def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int) -> dict:

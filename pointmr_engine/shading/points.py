@@ -35,6 +35,7 @@ class SurfacePoints:
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32 (missing: zeros)
     instance_attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32
     footprint: np.ndarray | None = None  # (N,) float32, width of the ray's footprint at the point, metres
+    footprints: float = 1.0  # of these to the width of a pixel, which bumps are differenced over
     barycentric: np.ndarray | None = None  # (N, 2) float32
     object_location: np.ndarray | None = None  # (N, 3) float32
     object_color: np.ndarray | None = None  # (N, 4) float32

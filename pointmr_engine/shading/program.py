@@ -17,6 +17,7 @@ from pointmr_engine.shading.footprint_mean import NEEDS
 from pointmr_engine.shading.leaves import COLUMNS, Leaf
 from pointmr_engine.shading.nodes.registry import Call
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
+from pointmr_engine.shading.values import normalize
 
 
 @dataclass(frozen=True)
@@ -95,14 +96,24 @@ class Plan:
         return moved
 
 
-def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
-    """The columns' sources that fine nodes decide. What differences inputs takes the footprint into account itself."""
+def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> tuple[list[Slot], list[Slot]]:
+    """The sources of columns, and of normals, that fine nodes decide.
+
+    A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it.
+    """
     fine: list[bool] = []
+    bent: list[bool] = []  # the same through what is differenced, too
     for step in steps:
-        below = any(isinstance(s, Slot) and fine[s.step] for s in step.inputs.values())
+        slots = [s for s in step.inputs.values() if isinstance(s, Slot)]
+        below = any(fine[s.step] for s in slots)
         fine.append(step.type.fine or (below and not step.type.differenced))
-    sources = [s for leaf in leaves for _, _, s in leaf.columns]
-    return [s for s in sources if isinstance(s, Slot) and fine[s.step]]
+        bent.append(step.type.fine or any(bent[s.step] for s in slots))
+    columns = [s for leaf in leaves for _, _, s in leaf.columns]
+    normals = [s for leaf in leaves for name, s in leaf.normals.items() if name != "tangent"]
+    return (
+        [s for s in columns if isinstance(s, Slot) and fine[s.step]],
+        [s for s in normals if isinstance(s, Slot) and bent[s.step]],
+    )
 
 
 def read(source: Source, memo: dict[tuple[int, str], np.ndarray]) -> np.ndarray:
@@ -116,7 +127,8 @@ class Program:
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
     transparency_needs, emission_needs: the same for `transparency` and `emission`. fine_reads: for `fine_values`;
-        fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine.
+        fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine. fine_normals: which
+        of these values are normals, whose means are the shorter the more they differ.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     opaque: light never passes straight through; emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never
@@ -148,9 +160,11 @@ class Program:
         self._emission = emission
         self._transparency_plan = Plan(clear_steps, self._transparency)
         self._emission_plan = Plan(steps, emission)
-        fine = fine_slots(steps, leaves) if filtered and kind == "surface" else []
+        columns, normals = fine_slots(steps, leaves) if filtered and kind == "surface" else ([], [])
+        fine = columns + normals
         self._fine_plan = Plan(steps, fine) if fine else None
         self._fine_names = {(s.step, s.output) for s in fine}
+        self.fine_normals: frozenset = frozenset((s.step, s.output) for s in normals)
         self.needs: frozenset[str] = self._plan.needs
         self.fine_reads: frozenset[str] = self._fine_plan.needs if fine else frozenset()
         self.fine_needs: frozenset[str] = self.fine_reads | NEEDS if fine else frozenset()
@@ -176,7 +190,7 @@ class Program:
             rows, values = means
             for name, value in values.items():
                 memo[name] = memo[name].copy()
-                memo[name][rows] = value
+                memo[name][rows] = normalize(value) if name in self.fine_normals else value
         return [_fill(leaf, memo) for leaf in self.leaves]
 
     def fine_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:

@@ -1,0 +1,63 @@
+"""Microfacet lobes as wide as the normals below them differ: half vectors vary as the normals do."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.shading.bsdf.layout import (
+    ALPHA_X,
+    ALPHA_Y,
+    ASHIKHMIN_SHIRLEY,
+    BECKMANN,
+    KIND_MASK,
+    SINGULAR_ALPHA_SQUARED,
+    SINGULAR_LOBE,
+    TRANSLUCENT,
+)
+
+
+@device
+def is_microfacet(kind):
+    """Whether a lobe of this kind has a roughness of microfacets."""
+    base = kind & KIND_MASK
+    return base > TRANSLUCENT and base != ASHIKHMIN_SHIRLEY
+
+
+@device
+def set_roughness(lobes, i, j, x, y, extra):
+    """Give the microfacet lobe j of point i the roughness x, y (GGX alpha) and `extra` squared roughness."""
+    x, y = min(math.sqrt(x * x + extra), 1.0), min(math.sqrt(y * y + extra), 1.0)
+    lobes.data[i, j, ALPHA_X] = x
+    lobes.data[i, j, ALPHA_Y] = y
+    if x * y > SINGULAR_ALPHA_SQUARED:
+        lobes.kind[i, j] = lobes.kind[i, j] & ~SINGULAR_LOBE
+    else:
+        lobes.kind[i, j] = lobes.kind[i, j] | SINGULAR_LOBE
+
+
+@uncounted
+def widen_lobes(lobes, rows, variance):
+    """Widen the microfacet lobes of the points `rows` (m,) int64 by the variance (m,) float32 of slopes below them.
+
+    A Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
+    """
+    for k in range(len(rows)):
+        extra = 1.0 * np.float64(variance[k])
+        if not extra > 0.0:
+            continue
+        i = rows[k]
+        for j in range(np.int64(lobes.count[i])):
+            if is_microfacet(lobes.kind[i, j]):
+                if extra > np.float64(lobes.data[i, j, ALPHA_X]) * np.float64(lobes.data[i, j, ALPHA_Y]):
+                    lobes.kind[i, j] = lobes.kind[i, j] | BECKMANN
+                set_roughness(
+                    lobes,
+                    i,
+                    j,
+                    np.float64(lobes.data[i, j, ALPHA_X]),
+                    np.float64(lobes.data[i, j, ALPHA_Y]),
+                    extra,
+                )
