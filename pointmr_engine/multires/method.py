@@ -1,7 +1,7 @@
 """Multi-resolution raytracing as a method: primary cones walk the hierarchy together, tile by tile; what they see is
 merged into surfaces, and each of those sends its own cones on.
 
-The primary cones of a tile resolve visibility per subpixel, 8 x 8 of them in a cone, from samples a third of a
+The primary cones of a tile resolve visibility per subpixel, 8 x 8 of them in a cone, from samples a sixth of a
 footprint apart (forward/walk.py): the hierarchy is walked once for all of them.
 """
 
@@ -139,7 +139,10 @@ class TracedTiles(Workspace):
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
         self.seen = np.empty((n, 2), np.int32)
-        self.stands, self.all = np.empty(n, np.int32), 0  # of all fragments, those that borrow their light too
+        self.stands, self.all = (
+            np.empty(n, np.int32),
+            0,
+        )  # of all fragments, those that borrow their light too
         self.eyes = NO_EYES  # that see the fragments
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)

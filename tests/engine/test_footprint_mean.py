@@ -7,11 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine import Camera, Material, RenderSettings, Scene, render, uniform_world
+from pointmr_engine import Camera, Material, RenderSettings, Scene, World, render, uniform_world
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import Group
+from pointmr_engine.shading.bsdf.albedo_tables import load_tables
+from pointmr_engine.shading.bsdf.layout import ALPHA_X, BECKMANN, SINGULAR_LOBE, View
+from pointmr_engine.shading.bsdf.widening import widen_lobes
 from pointmr_engine.shading.differentials import moved_points
-from pointmr_engine.shading.footprint_mean import ALL, FIRST, GRAZING, NEEDS, footprint_means
+from pointmr_engine.shading.footprint_mean import ALL, FIRST, GRAZING, NEEDS, footprint_means, slope_variance
+from pointmr_engine.shading.leaves import GLOSSY, Leaf
+from pointmr_engine.shading.lobes import allocate, append, reset
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.program import compile_graph
 from tests.engine.small_scenes import from_above, quad
@@ -160,11 +165,87 @@ def test_only_what_is_fine_and_filtered_is_averaged():
     assert compile_graph(plain).fine_needs == frozenset()
     assert compile_graph(checkered(), filtered=False).fine_needs == frozenset()
     assert compile_graph(checkered()).fine_needs >= NEEDS
-    # bumps difference their heights over the footprint themselves
-    graph = checkered(shader="diffuse")
+    assert compile_graph(checkered()).fine_normals == frozenset()
+    # the normals that bumps bend are, and what differences heights for a column is not
+    program = compile_graph(bumpy(Node("diffuse")))
+    assert program.fine_needs >= NEEDS and len(program.fine_normals) == 1
+    graph = checkered(shader="emission")
     graph.nodes["b"] = Node("bump", {"height": Link("t", "fac")})
-    graph.nodes["e"].inputs = {"color": WHITE, "normal": Link("b", "normal")}
+    graph.nodes["e"].inputs = {"color": Link("b", "normal")}
     assert compile_graph(graph).fine_needs == frozenset()
+
+
+def bumpy(shader: Node, scale=40.0, distance=0.05) -> Graph:
+    """A surface that a noise bends, whose waves are 1 / scale long."""
+    shader.inputs["normal"] = Link("b", "normal")
+    nodes = {
+        "c": Node("texture_coordinate"),
+        "t": Node("noise_texture", {"vector": Link("c", "object"), "scale": scale, "detail": 2.0}),
+        "b": Node("bump", {"height": Link("t", "fac"), "distance": distance}),
+        "e": shader,
+    }
+    return Graph(nodes, surface=Link("e", "bsdf"))
+
+
+@given(st.floats(0.01, 0.2), st.integers(0, 100))
+def test_the_length_of_mean_normals_tells_how_slopes_vary(deviation, seed):
+    slopes = np.random.default_rng(seed).normal(0.0, deviation, (FIRST, 4000, 2))
+    normals = np.concatenate([-slopes, np.ones((FIRST, 4000, 1))], 2)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    found = slope_variance([normals.mean(0), np.ones((4000, 3)) / np.sqrt(3)])
+    assert found.mean() == pytest.approx(deviation**2, rel=0.12)
+
+
+def test_even_normals_have_no_variance():
+    assert (slope_variance([np.tile(np.array([[0, 0.6, 0.8]], np.float32), (5, 1))]) < 1e-6).all()
+
+
+@pytest.mark.parametrize(("roughness", "beckmann"), [(0.0, True), (0.3, True), (0.9, False)])
+def test_lobes_are_as_wide_as_slopes_vary(roughness, beckmann):
+    """Of what is hardly rough itself the normals' distribution is left, which has no long tails."""
+    up = np.tile(np.array([[0, 0, 1]], np.float32), (3, 1))
+    view = View(up, up, up, np.zeros(3, np.bool_), np.zeros(3, np.bool_))
+    out = allocate(3, 1)
+    reset(out, view)
+    block = np.array([(1, 1, 1, roughness, 0, 0, 0, 0, 0)], np.float32)
+    append(out, Leaf(GLOSSY, block), np.arange(3), view, load_tables())
+    before, kinds = out.data[:, 0, ALPHA_X].copy(), out.kind[:, 0].copy()
+    widen_lobes(out, np.array([0, 2]), np.array([0.02, 0.0], np.float32))
+    assert out.data[0, 0, ALPHA_X] == pytest.approx(np.sqrt(before[0] ** 2 + 0.04), rel=1e-5)
+    assert bool(out.kind[0, 0] & BECKMANN) == beckmann and not out.kind[0, 0] & SINGULAR_LOBE
+    for k in (1, 2):  # not asked for, and even
+        assert out.data[k, 0, ALPHA_X] == before[k] and out.kind[k, 0] == kinds[k]
+
+
+def test_far_waves_blur_what_they_mirror():
+    """A lake under a sky that is white on one side, seen so far that a pixel has many waves: no pixel is one wave's."""
+    nodes = {
+        "place": Node("texture_coordinate"),
+        "axes": Node("separate_xyz", {"vector": Link("place", "generated")}),
+        "half": Node("math", {"value": Link("axes", "x"), "value_b": 0.0}, {"operation": "LESS_THAN"}),
+        "b": Node("background", {"strength": Link("half", "value")}),
+    }
+    sky = World(Graph(nodes, surface=Link("b", "background")))
+    mirror = Material("waves", bumpy(Node("glossy", {"roughness": 0.02}), scale=10.0))
+    scene = Scene(Group("root", [quad(100.0, material=mirror)]), from_above(20.0), [], sky)
+    ours = render(scene, RenderSettings(24, 18, method="raytrace")).passes["combined"][..., 0].astype(float)
+    chosen = RenderSettings(24, 18, method="distributed", samples=256)
+    exact = render(scene, chosen).passes["combined"][..., 0].astype(float)
+    assert 0.2 < exact.mean() < 0.8 and exact.std() > 0.15
+    assert ours.mean() == pytest.approx(exact.mean(), abs=0.02)
+    assert np.sqrt(((ours - exact) ** 2).mean()) < 0.06  # 0.082 with one wave's normal a fragment
+
+
+@pytest.mark.parametrize("cones", [1, 16])
+def test_bumps_are_differenced_over_a_pixel_whatever_a_cone_is(cones):
+    """As Cycles does it: steps of a cone's width would bring out waves that its step passes over."""
+    program = compile_graph(bumpy(Node("diffuse"), scale=4.0))
+    points = plane_points(np.random.default_rng(5).random((200, 2)), 0.1)
+    points.normal = points.geometric_normal
+    wide = program.fine_values(points).popitem()[1]
+    narrow = plane_points(points.position[:, :2], 0.1 / cones)
+    narrow.normal, narrow.footprints = narrow.geometric_normal, float(cones)
+    np.testing.assert_allclose(program.fine_values(narrow).popitem()[1], wide, atol=1e-4)
 
 
 @pytest.mark.parametrize(("method", "bound"), [("raytrace", 0.1), ("forward", 0.17)])

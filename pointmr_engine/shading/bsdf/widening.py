@@ -45,7 +45,7 @@ def widen_lobes(lobes, rows, variance):
     A Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
     """
     for k in range(len(rows)):
-        extra = 1.0 * np.float64(variance[k])
+        extra = 2.0 * np.float64(variance[k])
         if not extra > 0.0:
             continue
         i = rows[k]
