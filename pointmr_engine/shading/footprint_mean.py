@@ -72,7 +72,13 @@ def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end:
     u = (u + _U[begin:end, None]) % 1 - 0.5
     v = (v + _V[begin:end, None]) % 1 - 0.5
     offset = u[..., None] * a + v[..., None] * b
-    values = run(moved_points(points, offset.reshape(-1, 3), needs))
+    moved = moved_points(points, offset.reshape(-1, 3), needs)
+    # far outside a triangle its normals go anywhere; how the surface itself bends is not a matter of textures
+    for name in ("normal", "smooth_normal"):
+        if getattr(moved, name) is not None:
+            setattr(moved, name, np.tile(getattr(points, name), (count, 1)))
+    moved.tangents = {k: np.tile(points.tangents[k], (count, 1)) for k in moved.tangents}
+    values = run(moved)
     return {
         name: np.broadcast_to(x, (count * n, *x.shape[1:])).reshape(count, n, *x.shape[1:])
         for name, x in values.items()

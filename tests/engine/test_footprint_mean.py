@@ -236,6 +236,30 @@ def test_far_waves_blur_what_they_mirror():
     assert np.sqrt(((ours - exact) ** 2).mean()) < 0.06  # 0.082 with one wave's normal a fragment
 
 
+def test_places_beyond_a_triangle_have_the_normal_of_its_middle():
+    """Normals of a smooth triangle go on anywhere outside it: a car's coarse shell was taken for a rough one."""
+    points, seen = plane_points(np.random.default_rng(6).random((50, 2)), 0.1), []
+    points.normal = points.smooth_normal = points.geometric_normal
+    points.tangents = {"": np.tile(np.array([[1, 0, 0, 1]], np.float32), (50, 1))}
+
+    def moved(offset, needs):
+        there = points.repeated(len(offset) // 50)
+        astray = np.random.default_rng(7).normal(size=(len(offset), 3)).astype(np.float32)
+        there.normal = there.smooth_normal = astray
+        there.tangents = {"": np.concatenate([astray, astray[:, :1]], 1)}
+        return there
+
+    points.moved = moved
+
+    def run(there):
+        seen.append((there.normal, there.smooth_normal, there.tangents[""]))
+        return {"normal": there.normal}
+
+    footprint_means(run, lambda rows: points, np.arange(50), frozenset({"normal"}), 0, frozenset({"normal"}))
+    for found, own in zip(seen[0], (points.normal, points.normal, points.tangents[""]), strict=True):
+        np.testing.assert_array_equal(found, np.tile(own, (FIRST, 1)))
+
+
 @pytest.mark.parametrize("cones", [1, 16])
 def test_bumps_are_differenced_over_a_pixel_whatever_a_cone_is(cones):
     """As Cycles does it: steps of a cone's width would bring out waves that its step passes over."""

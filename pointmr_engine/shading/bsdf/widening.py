@@ -18,6 +18,8 @@ from pointmr_engine.shading.bsdf.layout import (
     TRANSLUCENT,
 )
 
+FLATTEST = 1e-5  # squared roughness that is not worth telling from none, nor from rounding
+
 
 @device
 def is_microfacet(kind):
@@ -46,7 +48,7 @@ def widen_lobes(lobes, rows, variance):
     """
     for k in range(len(rows)):
         extra = 2.0 * np.float64(variance[k])
-        if not extra > 0.0:
+        if not extra > FLATTEST:
             continue
         i = rows[k]
         for j in range(np.int64(lobes.count[i])):
