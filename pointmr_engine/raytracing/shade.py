@@ -131,8 +131,9 @@ class Shader:
             return self._gather(rays, hits, frames, index, program.fine_needs, state, material)
 
         return seen, footprint_means(
-            program.fine_values, points, rows[seen], program.fine_reads, self.seed, program.fine_normals
-        )
+            program.fine_values, points, rows[seen], program.fine_reads, self.seed, program.fine_normals,
+            program.fine_columns,
+        )  # fmt: skip
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

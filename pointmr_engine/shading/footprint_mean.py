@@ -34,11 +34,13 @@ def footprint_means(
     needs: frozenset[str],
     seed: int = 0,
     few: frozenset = frozenset(),
+    rest: Callable[[SurfacePoints], dict] | None = None,
 ) -> dict:
     """Values by name, each (n,) or (n, 3) float32: the means over the footprints of points `rows` (n,).
 
     run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
-    with NEEDS. seed: another one has other places. few: names of values for which the first places are enough.
+    with NEEDS. seed: another one has other places. few: names of values for which the first places are enough;
+    rest(points): the others.
     """
     first = _at_places(run, gather, rows, needs, seed, 0, FIRST)
     mean = {name: v.mean(0) for name, v in first.items()}
@@ -49,8 +51,8 @@ def footprint_means(
         differs |= apart if apart.ndim == 1 else apart.any(1)
     more = np.flatnonzero(differs)
     if len(more):
-        rest = _at_places(run, gather, rows[more], needs, seed, FIRST, ALL)
-        for name, v in rest.items():
+        others = _at_places(rest or run, gather, rows[more], needs, seed, FIRST, ALL)
+        for name, v in others.items():
             mean[name][more] = (mean[name][more] * FIRST + v.sum(0)) / np.float32(ALL)
     return mean
 

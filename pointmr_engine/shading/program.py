@@ -14,10 +14,12 @@ from pointmr_engine.scene.graph import Graph
 from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
 from pointmr_engine.shading.differentials import axes_at, moved_points
 from pointmr_engine.shading.footprint_mean import NEEDS
-from pointmr_engine.shading.leaves import COLUMNS, Leaf
+from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION, Leaf
 from pointmr_engine.shading.nodes.registry import Call
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
 from pointmr_engine.shading.values import normalize
+
+BLUNT = 0.45  # roughness from which lobes are wider than what most bumps would make of them
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ class Plan:
 def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> tuple[list[Slot], list[Slot]]:
     """The sources of columns, and of normals, that fine nodes decide.
 
-    A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it.
+    A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it,
+    which is worth telling from their mean where lobes may be sharp.
     """
     fine: list[bool] = []
     bent: list[bool] = []  # the same through what is differenced, too
@@ -109,11 +112,31 @@ def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> tuple[list[Slot], l
         fine.append(step.type.fine or (below and not step.type.differenced))
         bent.append(step.type.fine or any(bent[s.step] for s in slots))
     columns = [s for leaf in leaves for _, _, s in leaf.columns]
-    normals = [s for leaf in leaves for name, s in leaf.normals.items() if name != "tangent"]
+    sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
+    normals = [s for leaf in sharp for name, s in leaf.normals.items() if name != "tangent"]
     return (
         [s for s in columns if isinstance(s, Slot) and fine[s.step]],
         [s for s in normals if isinstance(s, Slot) and bent[s.step]],
     )
+
+
+def _may_be_sharp(leaf: LeafPlan) -> bool:
+    """Whether a leaf's microfacets may be smoother than BLUNT, as far as its constants tell."""
+    names = COLUMNS[leaf.kind]
+    if leaf.kind not in (PRINCIPLED, GLOSSY, GLASS, REFRACTION, METALLIC):
+        return False
+    linked = {first for first, _, source in leaf.columns if isinstance(source, Slot)}
+
+    def least(name: str) -> float:
+        at = names.index(name)
+        return 0.0 if at in linked else float(leaf.template[0, at])
+
+    if leaf.distribution == "sharp" or least("roughness") < BLUNT:
+        return True
+    if leaf.kind != PRINCIPLED:
+        return False
+    coated = names.index("coat_weight") in linked or least("coat_weight") > 0.0
+    return coated and least("coat_roughness") < BLUNT
 
 
 def read(source: Source, memo: dict[tuple[int, str], np.ndarray]) -> np.ndarray:
@@ -163,7 +186,8 @@ class Program:
         columns, normals = fine_slots(steps, leaves) if filtered and kind == "surface" else ([], [])
         fine = columns + normals
         self._fine_plan = Plan(steps, fine) if fine else None
-        self._fine_names = {(s.step, s.output) for s in fine}
+        self._column_plan = Plan(steps, columns)
+        self._column_names = {(s.step, s.output) for s in columns}
         self.fine_normals: frozenset = frozenset((s.step, s.output) for s in normals)
         self.needs: frozenset[str] = self._plan.needs
         self.fine_reads: frozenset[str] = self._fine_plan.needs if fine else frozenset()
@@ -197,7 +221,13 @@ class Program:
         """What fine textures decide (shading.footprint_mean), by names of its own; reads `fine_reads`."""
         with np.errstate(all="ignore"):
             memo = self._fine_plan.run(points)
-        return {name: memo[name] for name in self._fine_names}
+        return {name: memo[name] for name in self._column_names | self.fine_normals}
+
+    def fine_columns(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
+        """`fine_values` without the normals, whose bumps are evaluated at several points for each."""
+        with np.errstate(all="ignore"):
+            memo = self._column_plan.run(points)
+        return {name: memo[name] for name in self._column_names}
 
     def transparency(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32 share of light that passes straight through at the points themselves, for shadow rays: what

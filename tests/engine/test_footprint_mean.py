@@ -167,8 +167,17 @@ def test_only_what_is_fine_and_filtered_is_averaged():
     assert compile_graph(checkered()).fine_needs >= NEEDS
     assert compile_graph(checkered()).fine_normals == frozenset()
     # the normals that bumps bend are, and what differences heights for a column is not
-    program = compile_graph(bumpy(Node("diffuse")))
+    program = compile_graph(bumpy(Node("glossy", {"roughness": 0.1})))
     assert program.fine_needs >= NEEDS and len(program.fine_normals) == 1
+    # not those of lobes that are wider than what a bump would make of them
+    for blunt in (
+        Node("diffuse"),
+        Node("glossy", {"roughness": 0.5}),
+        Node("principled", {"roughness": 0.5}),
+    ):
+        assert compile_graph(bumpy(blunt)).fine_needs == frozenset(), blunt
+    for sharp in ({"roughness": 0.3}, {"roughness": 0.5, "coat_weight": 0.5, "coat_roughness": 0.1}):
+        assert compile_graph(bumpy(Node("principled", sharp))).fine_normals, sharp
     graph = checkered(shader="emission")
     graph.nodes["b"] = Node("bump", {"height": Link("t", "fac")})
     graph.nodes["e"].inputs = {"color": Link("b", "normal")}
@@ -263,7 +272,7 @@ def test_places_beyond_a_triangle_have_the_normal_of_its_middle():
 @pytest.mark.parametrize("cones", [1, 16])
 def test_bumps_are_differenced_over_a_pixel_whatever_a_cone_is(cones):
     """As Cycles does it: steps of a cone's width would bring out waves that its step passes over."""
-    program = compile_graph(bumpy(Node("diffuse"), scale=4.0))
+    program = compile_graph(bumpy(Node("glossy", {"roughness": 0.1}), scale=4.0))
     points = plane_points(np.random.default_rng(5).random((200, 2)), 0.1)
     points.normal = points.geometric_normal
     wide = program.fine_values(points).popitem()[1]
