@@ -97,8 +97,7 @@ def _sharpest(lobes, i, alpha):
     """The least squared roughness of point i's microfacet lobes; 1 where it has none."""
     least = 1.0
     for j in range(np.int64(lobes.count[i])):
-        base = lobes.kind[i, j] & KIND_MASK
-        if base > TRANSLUCENT and base != ASHIKHMIN_SHIRLEY:
+        if is_microfacet(lobes.kind[i, j]):
             least = min(least, np.float64(alpha[i, j, 0]) * np.float64(alpha[i, j, 1]))
     return least
 

@@ -139,10 +139,8 @@ class TracedTiles(Workspace):
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
         self.seen = np.empty((n, 2), np.int32)
-        self.stands, self.all = (
-            np.empty(n, np.int32),
-            0,
-        )  # of all fragments, those that borrow their light too
+        # of all fragments, of which there are `all`, the one that each has its light from
+        self.stands, self.all = np.empty(n, np.int32), 0
         self.eyes = NO_EYES  # that see the fragments
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)
