@@ -3,6 +3,7 @@
 import numpy as np
 
 from pointmr_engine import Camera, Group, Light, Mesh, Scene, World, principled, uniform_world
+from pointmr_engine.scene.graph import Graph, Link, Node
 
 
 def quad(size=1.0, z=0.0, material=None, name="quad") -> Mesh:
@@ -32,3 +33,14 @@ def lit_floor(*more: Mesh, world: World | None = None, **light) -> Scene:
     floor = quad(20.0, material=principled("floor", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0))
     group = Group("root", [floor, *more])
     return Scene(group, from_above(), [lamp], world or uniform_world((0, 0, 0)))
+
+
+def half_a_sky() -> World:
+    """White for directions of negative x."""
+    nodes = {
+        "place": Node("texture_coordinate"),
+        "axes": Node("separate_xyz", {"vector": Link("place", "generated")}),
+        "half": Node("math", {"value": Link("axes", "x"), "value_b": 0.0}, {"operation": "LESS_THAN"}),
+        "b": Node("background", {"strength": Link("half", "value")}),
+    }
+    return World(Graph(nodes, surface=Link("b", "background")))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine import Camera, Material, RenderSettings, Scene, World, render, uniform_world
+from pointmr_engine import Camera, Material, RenderSettings, Scene, render, uniform_world
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import Group
 from pointmr_engine.shading.bsdf.albedo_tables import load_tables
@@ -19,7 +19,7 @@ from pointmr_engine.shading.leaves import GLOSSY, Leaf
 from pointmr_engine.shading.lobes import allocate, append, reset
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.program import compile_graph
-from tests.engine.small_scenes import from_above, quad
+from tests.engine.small_scenes import from_above, half_a_sky, quad
 
 BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
@@ -228,15 +228,8 @@ def test_lobes_are_as_wide_as_slopes_vary(roughness, beckmann):
 
 def test_far_waves_blur_what_they_mirror():
     """A lake under a sky that is white on one side, seen so far that a pixel has many waves: no pixel is one wave's."""
-    nodes = {
-        "place": Node("texture_coordinate"),
-        "axes": Node("separate_xyz", {"vector": Link("place", "generated")}),
-        "half": Node("math", {"value": Link("axes", "x"), "value_b": 0.0}, {"operation": "LESS_THAN"}),
-        "b": Node("background", {"strength": Link("half", "value")}),
-    }
-    sky = World(Graph(nodes, surface=Link("b", "background")))
     mirror = Material("waves", bumpy(Node("glossy", {"roughness": 0.02}), scale=10.0))
-    scene = Scene(Group("root", [quad(100.0, material=mirror)]), from_above(20.0), [], sky)
+    scene = Scene(Group("root", [quad(100.0, material=mirror)]), from_above(20.0), [], half_a_sky())
     ours = render(scene, RenderSettings(24, 18, method="raytrace")).passes["combined"][..., 0].astype(float)
     chosen = RenderSettings(24, 18, method="distributed", samples=256)
     exact = render(scene, chosen).passes["combined"][..., 0].astype(float)

@@ -12,7 +12,6 @@ from pointmr_engine import (
     Material,
     RenderSettings,
     Scene,
-    World,
     emission,
     principled,
     render,
@@ -29,7 +28,7 @@ from pointmr_engine.multires.light_sharing import (
 )
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
-from tests.engine.small_scenes import at, from_above, quad
+from tests.engine.small_scenes import at, from_above, half_a_sky, quad
 
 SUBPIXELS = 8
 
@@ -232,17 +231,6 @@ def ridged(wave_number: float, height: float) -> Material:
         "matt": Node("diffuse", {"normal": Link("bump", "normal")}),
     }  # fmt: skip
     return Material("ridged", Graph(nodes, surface=Link("matt", "bsdf")))
-
-
-def half_a_sky() -> World:
-    """White for directions of negative x."""
-    nodes = {
-        "place": Node("texture_coordinate"),
-        "axes": Node("separate_xyz", {"vector": Link("place", "generated")}),
-        "half": Node("math", {"value": Link("axes", "x"), "value_b": 0.0}, {"operation": "LESS_THAN"}),
-        "b": Node("background", {"strength": Link("half", "value")}),
-    }
-    return World(Graph(nodes, surface=Link("b", "background")))
 
 
 def four_lamps() -> list[Light]:
