@@ -14,7 +14,7 @@ from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
-from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, take_shares
+from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, lit_from_behind, raise_points, take_shares
 from pointmr_engine.multires.lobe_lamps import first_fragments, lamps_in_cones
 from pointmr_engine.multires.lobe_paths import BY_SAMPLES
 from pointmr_engine.multires.lobe_rays import ROUGH
@@ -35,7 +35,6 @@ from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
 from pointmr_engine.raytracing.paths import NO_LAMPS, SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
-from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 # of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
@@ -54,6 +53,7 @@ class ConePaths(SharingPaths):
         self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.lights)
         self.width = np.empty(n, np.float32)
         self.both = np.empty(n, np.bool_)
+        self.raised = np.empty((n, 3))
         self.received = np.zeros((n, 3), np.float32)
         self.ones = np.ones(n)
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
@@ -180,7 +180,7 @@ class ConePaths(SharingPaths):
         self.received[:n] = 0.0
         reach = np.where(np.isfinite(self.hits.t[:n]), self.hits.t[:n], 0.0)
         self.width[:n] = now.state.width[:n] + now.state.spread[:n] * reach
-        np.not_equal(lobes.flags[:n] & HAS_TRANSMISSION, 0, out=self.both[:n])
+        lit_from_behind(lobes, self.both, count)
         for i in range(len(lamps.shape)):
             self._shadow(i, n)
         shade_lamps(
@@ -191,11 +191,17 @@ class ConePaths(SharingPaths):
 
     def _shadow(self, i: int, n: int) -> None:
         """The share of lamp i that arrives at points 0..n."""
-        lamps = self.light.lamps
+        lamps, lobes, position = self.light.lamps, self.lobes, self.frames.position
         self.share[i, :n] = 1.0
+        if self.raises:
+            position = self.raised
+            raise_points(
+                lamps, np.int64(i), self.stage.shader.geometry.tables, self.hits, self.frames, lobes.normal,
+                lobes.count, np.int64(n), *self.triangle, position,
+            )  # fmt: skip
         m = lamp_cones(
-            lamps, np.int64(i), self.frames.position, self.lobes.geometric_normal, self.both, self.width,
-            self.frames.offset, self.lobes.count, np.int64(n), self.cones, self.rows, self.terms,
+            lamps, np.int64(i), position, lobes.normal, self.both, self.width,
+            self.frames.offset, lobes.count, np.int64(n), self.cones, self.rows, self.terms,
         )  # fmt: skip
         if not m:
             return

@@ -34,7 +34,9 @@ from pointmr_engine.raytracing.lamps import (
     VY,
     VZ,
 )
+from pointmr_engine.raytracing.terminator import rise
 from pointmr_engine.scene.group import SHADOW
+from pointmr_engine.shading.bsdf.layout import BUMPED, HAS_TRANSMISSION
 from pointmr_engine.shading.bsdf.vector import dot
 
 ACROSS = 7  # of a cone's 8 cells lie in its lamp: the others are room for all to be shifted by half of one
@@ -80,6 +82,43 @@ def _round_frame(row, shape, dx, dy, dz, distance, angle):
     )
 
 
+@device
+def _towards(row, shape, px, py, pz):
+    """(direction to a lamp's middle, distance) from a point: 1 to a sun, 0 where the point is its middle."""
+    if shape == SUN:
+        return -row[AX], -row[AY], -row[AZ], 1.0
+    dx, dy, dz = row[PX] - px, row[PY] - py, row[PZ] - pz
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    inverse = 1.0 / distance if distance > 0.0 else 0.0
+    return dx * inverse, dy * inverse, dz * inverse, distance
+
+
+@uncounted
+def lit_from_behind(lobes, out, count):
+    """out (N,) bool: points 0..count that a lamp behind them may light: by transmission, or by bumps that face it."""
+    for k in range(count):
+        out[k] = (lobes.flags[k] & HAS_TRANSMISSION) != 0
+        for j in range(np.int64(lobes.count[k])):
+            if lobes.kind[k, j] & BUMPED:
+                out[k] = True
+
+
+@uncounted
+def raise_points(lamps, i, tables, hits, frames, shading_normal, lobe_count, count, corners, normals, out):
+    """out (N, 3) float64: where cones from points 0..count to lamp i start: off coarse triangles that look smooth.
+
+    The other arguments as of raytracing.terminator.rise.
+    """
+    row, shape = lamps.values[i], lamps.shape[i]
+    for k in range(count):
+        px, py, pz = frames.position[k, 0], frames.position[k, 1], frames.position[k, 2]
+        if lobe_count[k] > 0:
+            dx, dy, dz, _ = _towards(row, shape, px, py, pz)
+            _, x, y, z = rise(tables, hits, frames, shading_normal, np.int64(k), dx, dy, dz, corners, normals)
+            px, py, pz = px + x, py + y, pz + z
+        out[k, 0], out[k, 1], out[k, 2] = px, py, pz
+
+
 @uncounted
 def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, count, cones: Cones, rows, terms):
     """Cones from points 0..count to lamp i, for those that it could light; returns how many, rows (N,) their points.
@@ -87,7 +126,8 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
     A flat lamp's cells are even on the lamp, others' across the direction to it. Where they lie differs from point to
     point, lest their borders show. terms (N, TERMS) float64: what take_shares needs of the cones, filled.
 
-    position (N, 3) float64; normal (N, 3) float32, on the viewer's side; both (N,) bool: lit from behind as well;
+    position (N, 3) float64; normal (N, 3) float32: what points are shaded by, for a lamp below a flat triangle may
+    light it where it looks round, and the triangles beside it are what hides it; both (N,) bool: lit_from_behind;
     width (N,) float32: the points' footprints; offset (N,) float64: what is nearer throws no shadow.
     """
     row, shape = lamps.values[i], lamps.shape[i]
@@ -97,13 +137,9 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
         if lobe_count[k] == 0:
             continue
         px, py, pz = position[k, 0], position[k, 1], position[k, 2]
-        dx, dy, dz, distance = -row[AX], -row[AY], -row[AZ], 1.0
-        if shape != SUN:
-            dx, dy, dz = row[PX] - px, row[PY] - py, row[PZ] - pz
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-            if not distance > 0.0:
-                continue
-            dx, dy, dz = dx / distance, dy / distance, dz / distance
+        dx, dy, dz, distance = _towards(row, shape, px, py, pz)
+        if not distance > 0.0:
+            continue
         turn = jitter(px, py, pz, width[k])
         shift_x, shift_y = turn[0] - 0.5, turn[1] - 0.5
         if flat:

@@ -56,63 +56,74 @@ def height(corners, normals, side, u, v, w):
 
 
 @uncounted
+def rise(tables, hits, frames, shading_normal, k, dx, dy, dz, corners, normals):
+    """(kind, x, y, z): the step from point k to where a ray to the light in direction d starts, in the world's space.
+
+    kind: 0 where it starts at the point itself, 2 where it goes below the point's triangle and may meet it, else 1.
+    shading_normal (N, 3): on the viewer's side; d a unit vector; corners, normals (4, 3) float64: room to work in.
+    """
+    p = hits.part[k]
+    cutoff = np.float64(tables.terminator_offset[p])
+    if not cutoff > 0.0 or tables.normals[p] == 0:
+        return 0, 0.0, 0.0, 0.0
+    cos_shading = dx * shading_normal[k, 0] + dy * shading_normal[k, 1] + dz * shading_normal[k, 2]
+    g = frames.geometric_normal
+    cos_geometric = dx * g[k, 0] + dy * g[k, 1] + dz * g[k, 2]
+    front = frames.backfacing[k] == (cos_shading < 0.0)  # the light is where geometric_normal points
+    share = share_of_height(abs(cos_shading), cos_geometric if front else -cos_geometric, cutoff)
+    if share == 0.0:
+        return 0, 0.0, 0.0, 0.0
+    t = np.int64(hits.triangle[k]) - tables.first_triangle[p]
+    triangles, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+    values = pointer_f32(tables.normals[p])
+    for c in range(3):
+        vertex = np.int64(triangles[3 * t + c])
+        normal = 3 * t + c if tables.normals_per_corner[p] else vertex
+        for a in range(3):
+            corners[c, a] = positions[3 * vertex + a]
+            normals[c, a] = values[3 * normal + a]
+    v, w = np.float64(hits.u[k]), np.float64(hits.v[k])
+    u = 1.0 - v - w
+    m = hits.world_from_part[k]
+    up = 0.0  # the interpolated normal's cosine to the side of the light, times something positive
+    for r in range(3):
+        x = 0.0
+        for a in range(3):
+            normals[3, a] = u * normals[0, a] + v * normals[1, a] + w * normals[2, a]
+            x += m[r, a] * normals[3, a]
+        up += x * g[k, r]
+    side = 1.0 if (up > 0.0) == front else -1.0
+    h = share * height(corners, normals, side, u, v, w)
+    nx, ny, nz = h * normals[3, 0], h * normals[3, 1], h * normals[3, 2]
+    x = m[0, 0] * nx + m[0, 1] * ny + m[0, 2] * nz
+    y = m[1, 0] * nx + m[1, 1] * ny + m[1, 2] * nz
+    z = m[2, 0] * nx + m[2, 1] * ny + m[2, 2] * nz
+    return 2 if (cos_geometric > 0.0) != front else 1, x, y, z
+
+
+@uncounted
 def raise_origins(tables, hits, frames, shading_normal, shadows, n, corners, normals):
     """Move the origins of shadow rays 0..n that start on smooth triangles in grazing light; their ends stay.
 
-    shading_normal (N, 3): on the viewer's side, per path. A ray that goes below its triangle may meet it then.
-    corners, normals (4, 3) float64: room to work in.
+    Arguments as of `rise`.
     """
     rays = shadows.rays
     for i in range(n):
         k = np.int64(shadows.source[i])
-        p = hits.part[k]
-        cutoff = np.float64(tables.terminator_offset[p])
-        if not cutoff > 0.0 or tables.normals[p] == 0 or rays.t_max[i] == 0.0:
-            continue
-        cos_shading, cos_geometric = 0.0, 0.0
-        for a in range(3):
-            cos_shading += rays.direction[i, a] * shading_normal[k, a]
-            cos_geometric += rays.direction[i, a] * frames.geometric_normal[k, a]
-        front = frames.backfacing[k] == (cos_shading < 0.0)  # the light is where geometric_normal points
-        share = share_of_height(abs(cos_shading), cos_geometric if front else -cos_geometric, cutoff)
-        if share == 0.0:
-            continue
-        t = np.int64(hits.triangle[k]) - tables.first_triangle[p]
-        triangles, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
-        values = pointer_f32(tables.normals[p])
-        for c in range(3):
-            vertex = np.int64(triangles[3 * t + c])
-            normal = 3 * t + c if tables.normals_per_corner[p] else vertex
-            for a in range(3):
-                corners[c, a] = positions[3 * vertex + a]
-                normals[c, a] = values[3 * normal + a]
-        v, w = np.float64(hits.u[k]), np.float64(hits.v[k])
-        u = 1.0 - v - w
-        m = hits.world_from_part[k]
-        up = 0.0  # the interpolated normal's cosine to the side of the light, times something positive
-        for r in range(3):
-            x = 0.0
-            for a in range(3):
-                normals[3, a] = u * normals[0, a] + v * normals[1, a] + w * normals[2, a]
-                x += m[r, a] * normals[3, a]
-            up += x * frames.geometric_normal[k, r]
-        side = 1.0 if (up > 0.0) == front else -1.0
-        h = share * height(corners, normals, side, u, v, w)
         length = rays.t_max[i]
-        far = length < math.inf
-        squared = 0.0
-        for r in range(3):
-            step = 0.0
-            for a in range(3):
-                step += h * m[r, a] * normals[3, a]
-            rays.origin[i, r] += step
-            if far:
-                rays.direction[i, r] = rays.direction[i, r] * length - step
-                squared += rays.direction[i, r] * rays.direction[i, r]
-        if far:
-            distance = math.sqrt(squared)
+        if length == 0.0:
+            continue
+        d = rays.direction[i]
+        kind, x, y, z = rise(tables, hits, frames, shading_normal, k, d[0], d[1], d[2], corners, normals)
+        if kind == 0:
+            continue
+        rays.origin[i, 0] += x
+        rays.origin[i, 1] += y
+        rays.origin[i, 2] += z
+        if length < math.inf:
+            ex, ey, ez = d[0] * length - x, d[1] * length - y, d[2] * length - z
+            distance = math.sqrt(ex * ex + ey * ey + ez * ez)
             rays.t_max[i] = distance
-            for r in range(3):
-                rays.direction[i, r] /= distance
-        if (cos_geometric > 0.0) != front:
+            d[0], d[1], d[2] = ex / distance, ey / distance, ez / distance
+        if kind == 2:
             rays.skip_triangle[i] = -1
