@@ -37,12 +37,15 @@ from pointmr_engine.raytracing.lamps import (
 from pointmr_engine.raytracing.terminator import rise
 from pointmr_engine.scene.group import SHADOW
 from pointmr_engine.shading.bsdf.layout import BUMPED, HAS_TRANSMISSION
-from pointmr_engine.shading.bsdf.vector import dot
+from pointmr_engine.shading.bsdf.vector import dot, row3
 
 ACROSS = 7  # of a cone's 8 cells lie in its lamp: the others are room for all to be shifted by half of one
 CELL = 2.0 / ACROSS  # a cell's width on a lamp that reaches from -1 to 1
 NEAR = 0.02  # footprints: what is nearer throws no shadow
 EDGE_ON = 1e-3  # cosine below which flat lamps are not seen
+LIT = (
+    2 / 3
+)  # of the height of a lamp that a surface sees in part: where half of its light comes from, roughly
 _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
 # what take_shares needs of a cone: how its cells are shifted, cosines at the point towards the lamp and along its
 # sides, cosines between these and the cone's axis
@@ -93,6 +96,32 @@ def _towards(row, shape, px, py, pz):
     return dx * inverse, dy * inverse, dz * inverse, distance
 
 
+@device
+def _lit_part(row, shape, px, py, pz, n):
+    """Unit direction to a lamp's middle, or where a surface of normal n sees a part of it, to the middle of that."""
+    dx, dy, dz, distance = _towards(row, shape, px, py, pz)
+    if shape == RECTANGLE or shape == ELLIPSE:
+        wide_x, wide_y = row[HALF_U], row[HALF_V]
+        x, y = (row[UX], row[UY], row[UZ]), (row[VX], row[VY], row[VZ])
+    else:
+        x, y, wide_x = _round_frame(row, shape, dx, dy, dz, distance, 0.0)
+        wide_y = wide_x
+    middle = distance * dot(n, (dx, dy, dz))  # heights over the surface's plane, and across the lamp
+    up_x, up_y = wide_x * dot(n, x), wide_y * dot(n, y)
+    up = math.sqrt(up_x * up_x + up_y * up_y)
+    if middle >= up or middle <= -up:
+        return dx, dy, dz
+    t = (LIT * (middle + up) - middle) / (up * up)
+    a, b = t * up_x * wide_x, t * up_y * wide_y
+    dx, dy, dz = (
+        distance * dx + a * x[0] + b * y[0],
+        distance * dy + a * x[1] + b * y[1],
+        distance * dz + a * x[2] + b * y[2],
+    )
+    inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+    return dx * inverse, dy * inverse, dz * inverse
+
+
 @uncounted
 def lit_from_behind(lobes, out, count):
     """out (N,) bool: points 0..count that a lamp behind them may light: by transmission, or by bumps that face it."""
@@ -113,7 +142,7 @@ def raise_points(lamps, i, tables, hits, frames, shading_normal, lobe_count, cou
     for k in range(count):
         px, py, pz = frames.position[k, 0], frames.position[k, 1], frames.position[k, 2]
         if lobe_count[k] > 0:
-            dx, dy, dz, _ = _towards(row, shape, px, py, pz)
+            dx, dy, dz = _lit_part(row, shape, px, py, pz, row3(shading_normal, k))
             _, x, y, z = rise(tables, hits, frames, shading_normal, np.int64(k), dx, dy, dz, corners, normals)
             px, py, pz = px + x, py + y, pz + z
         out[k, 0], out[k, 1], out[k, 2] = px, py, pz

@@ -12,11 +12,12 @@ from pointmr_engine.numerics.hashing import hash_path
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
-from pointmr_engine.raytracing.light_sampling import NONE, LightSamples
+from pointmr_engine.raytracing.light_sampling import NONE, WORLD, LightSamples
 from pointmr_engine.raytracing.paths import FINAL, Limits, Paths, Samples, only_diffuse
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_rays
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION
+from pointmr_engine.shading.bsdf.vector import dot, row3
 from pointmr_engine.shading.lobes import evaluate
 
 # of a shadow ray's light, for each surface that it has passed: chance decides about what has less left
@@ -35,13 +36,15 @@ class ShadowRays(NamedTuple):
     whole: np.ndarray  # (N,) float64: the largest channel of what it would have added before it met a surface
     passed: np.ndarray  # (N,) int32: transparent surfaces so far
     source: np.ndarray  # (N,) int32: row of the path that it belongs to
+    raised: np.ndarray  # (N,) bool: starts off a coarse triangle that looks smooth (terminator.raise_origins)
 
 
 def allocate_shadow_rays(n: int) -> ShadowRays:
     """Room for n shadow rays."""
     slot, passed, source = (np.zeros(n, np.int32) for _ in range(3))
     light, matt, glossy = np.zeros((3, n, 3))
-    return ShadowRays(allocate_rays(n), light, matt, glossy, slot, np.zeros(n), passed, source)
+    raised = np.zeros(n, np.bool_)
+    return ShadowRays(allocate_rays(n), light, matt, glossy, slot, np.zeros(n), passed, source, raised)
 
 
 @uncounted
@@ -86,9 +89,22 @@ def _split(out, n, light, some, whole, seen):
 
 @uncounted
 def connect(
-    paths: Paths, hits: Hits, frames, lobes, limits: Limits, lights: LightSamples, rows, m, out: ShadowRays
+    paths: Paths,
+    hits: Hits,
+    frames,
+    lobes,
+    limits: Limits,
+    lights: LightSamples,
+    rows,
+    m,
+    even,
+    out: ShadowRays,
 ):
-    """Shadow rays for light samples 0..m of paths `rows`, those that could add anything; returns how many."""
+    """Shadow rays for light samples 0..m of paths `rows`, those that could add anything; returns how many.
+
+    even: the world has one radiance. Rays to it stand for those that lobes send, which Cycles has instead: these start
+    on the triangle, and above it where nothing is transmitted.
+    """
     n = np.int64(0)
     for i in range(m):
         if lights.kind[i] == NONE or not lights.pdf[i] > 0.0:
@@ -99,6 +115,13 @@ def connect(
             continue
         d = paths.rays.direction[k]
         wo = (lights.direction[i, 0], lights.direction[i, 1], lights.direction[i, 2])
+        scattered = even and lights.kind[i] == WORLD
+        if (
+            scattered
+            and not lobes.flags[k] & HAS_TRANSMISSION
+            and dot(row3(lobes.geometric_normal, k), wo) < 0.0
+        ):
+            continue
         diffuse, glossy, transmission, pdf = evaluate(lobes, k, (-d[0], -d[1], -d[2]), wo)
         seen = lights.visibility[i]
         f0, f1, f2 = 0.0, 0.0, 0.0
@@ -134,6 +157,7 @@ def connect(
         out.rays.visibility[n] = SHADOW
         out.rays.skip_triangle[n] = hits.triangle[k]
         out.rays.skip_path[n] = hits.path[k]
+        out.raised[n] = not scattered
         n += 1
     return n
 

@@ -17,6 +17,7 @@ from pointmr_engine.needs import Needs
 from pointmr_engine.numerics.rng import sobol_tables
 from pointmr_engine.raytracing import direct_light, paths, walk
 from pointmr_engine.raytracing.camera import CameraArrays, sample_rays, window_coordinates
+from pointmr_engine.raytracing.environment import ABOVE, UNIFORM
 from pointmr_engine.raytracing.light_sampling import LightSamples, allocate_light_samples
 from pointmr_engine.raytracing.lights import Lights
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits
@@ -196,8 +197,9 @@ class Workspace:
 
     def connect(self, now, m: int, chosen: LightSamples) -> int:
         return direct_light.connect(
-            now, self.hits, self.frames, self.lobes, self.stage.limits, chosen, self.lit_rows, m, self.shadows
-        )
+            now, self.hits, self.frames, self.lobes, self.stage.limits, chosen, self.lit_rows, m,
+            self.stage.lights.arrays.world.mode in (UNIFORM, ABOVE), self.shadows,
+        )  # fmt: skip
 
     def raise_origins(self, count: int) -> None:
         raise_origins(

@@ -111,7 +111,7 @@ def raise_origins(tables, hits, frames, shading_normal, shadows, n, corners, nor
     for i in range(n):
         k = np.int64(shadows.source[i])
         length = rays.t_max[i]
-        if length == 0.0:
+        if length == 0.0 or not shadows.raised[i]:
             continue
         d = rays.direction[i]
         kind, x, y, z = rise(tables, hits, frames, shading_normal, k, d[0], d[1], d[2], corners, normals)
