@@ -52,7 +52,7 @@ class ConePaths(SharingPaths):
         n = ROOM
         self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.lights)
         self.width = np.empty(n, np.float32)
-        self.both = np.empty(n, np.bool_)
+        self.behind_lit = np.empty(n, np.uint8)
         self.raised = np.empty((n, 3))
         self.received = np.zeros((n, 3), np.float32)
         self.ones = np.ones(n)
@@ -180,7 +180,7 @@ class ConePaths(SharingPaths):
         self.received[:n] = 0.0
         reach = np.where(np.isfinite(self.hits.t[:n]), self.hits.t[:n], 0.0)
         self.width[:n] = now.state.width[:n] + now.state.spread[:n] * reach
-        lit_from_behind(lobes, self.both, count)
+        lit_from_behind(lobes, self.behind_lit, count)
         for i in range(len(lamps.shape)):
             self._shadow(i, n)
         shade_lamps(
@@ -200,7 +200,7 @@ class ConePaths(SharingPaths):
                 lobes.count, np.int64(n), *self.triangle, position,
             )  # fmt: skip
         m = lamp_cones(
-            lamps, np.int64(i), position, lobes.normal, self.both, self.width,
+            lamps, np.int64(i), position, lobes.normal, self.behind_lit, self.width,
             self.frames.offset, lobes.count, np.int64(n), self.cones, self.rows, self.terms,
         )  # fmt: skip
         if not m:
@@ -208,7 +208,7 @@ class ConePaths(SharingPaths):
         self.counters["lamp_cones"] += m
         self.light.blocked(self.cones, m, self.masks)
         take_shares(
-            self.masks, lamps.shape[i], self.cones, self.terms, self.both, self.rows, np.int64(m), self.share[i],
+            self.masks, lamps.shape[i], self.cones, self.terms, self.behind_lit, self.rows, np.int64(m), self.share[i],
         )  # fmt: skip
 
     def _scatter(self, now, n: int, alive, bounce: int, bent) -> None:

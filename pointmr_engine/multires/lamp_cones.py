@@ -51,6 +51,7 @@ _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
 # sides, cosines between these and the cone's axis
 SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y = range(7)
 TERMS = 7
+NOTHING, BUMPS, ALL = 0, 1, 2  # of a point: what a lamp behind it may light
 
 
 @device
@@ -124,12 +125,13 @@ def _lit_part(row, shape, px, py, pz, n):
 
 @uncounted
 def lit_from_behind(lobes, out, count):
-    """out (N,) bool: points 0..count that a lamp behind them may light: by transmission, or by bumps that face it."""
+    """out (N,) uint8: what a lamp behind points 0..count may light: NOTHING of them, BUMPS that face it, or ALL that
+    light passes through."""
     for k in range(count):
-        out[k] = (lobes.flags[k] & HAS_TRANSMISSION) != 0
+        out[k] = ALL if lobes.flags[k] & HAS_TRANSMISSION else NOTHING
         for j in range(np.int64(lobes.count[k])):
-            if lobes.kind[k, j] & BUMPED:
-                out[k] = True
+            if out[k] == NOTHING and lobes.kind[k, j] & BUMPED:
+                out[k] = BUMPS
 
 
 @uncounted
@@ -149,14 +151,16 @@ def raise_points(lamps, i, tables, hits, frames, shading_normal, lobe_count, cou
 
 
 @uncounted
-def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, count, cones: Cones, rows, terms):
+def lamp_cones(
+    lamps, i, position, normal, behind, width, offset, lobe_count, count, cones: Cones, rows, terms
+):
     """Cones from points 0..count to lamp i, for those that it could light; returns how many, rows (N,) their points.
 
     A flat lamp's cells are even on the lamp, others' across the direction to it. Where they lie differs from point to
     point, lest their borders show. terms (N, TERMS) float64: what take_shares needs of the cones, filled.
 
     position (N, 3) float64; normal (N, 3) float32: what points are shaded by, for a lamp below a flat triangle may
-    light it where it looks round, and the triangles beside it are what hides it; both (N,) bool: lit_from_behind;
+    light it where it looks round, and the triangles beside it are what hides it; behind (N,) uint8: lit_from_behind;
     width (N,) float32: the points' footprints; offset (N,) float64: what is nearer throws no shadow.
     """
     row, shape = lamps.values[i], lamps.shape[i]
@@ -197,7 +201,7 @@ def lamp_cones(lamps, i, position, normal, both, width, offset, lobe_count, coun
         n = np.float64(normal[k, 0]), np.float64(normal[k, 1]), np.float64(normal[k, 2])
         towards = dot(n, d)
         along_x, along_y = dot(n, x) * cones.spread[m, 0], dot(n, y) * cones.spread[m, 1]
-        if not both[k] and towards + abs(along_x) + abs(along_y) <= 0.0:
+        if behind[k] == NOTHING and towards + abs(along_x) + abs(along_y) <= 0.0:
             continue
         rows[m] = k
         terms[m, SHIFT_X], terms[m, SHIFT_Y] = shift_x, shift_y
@@ -241,21 +245,30 @@ def _irradiance(cones, terms, m, i, j, shape, both):
     return cosine / (square * square)
 
 
+@device
+def _arriving(mask, shape, cones, terms, m, both):
+    """(irradiance of cone m's lamp, what the blocked sub-rays in `mask` leave of it)."""
+    total, left = 0.0, 0.0
+    for b in range(64):
+        e = _irradiance(cones, terms, m, b & 7, b >> 3, shape, both)
+        total += e
+        if (mask >> np.uint64(b)) & np.uint64(1) == np.uint64(0):
+            left += e
+    return total, left
+
+
 @uncounted
-def take_shares(masks, shape, cones: Cones, terms, both, rows, count, share):
+def take_shares(masks, shape, cones: Cones, terms, behind, rows, count, share):
     """share (N,) float32 of points rows[0..count]: what the blocked sub-rays in `masks` leave of a lamp's irradiance.
 
-    shape: the lamp's; cones, terms, both: of lamp_cones.
+    shape: the lamp's; cones, terms, behind: of lamp_cones.
     """
     for m in range(count):
         mask, k = masks[m], rows[m]
         if mask == np.uint64(0):
             share[k] = 1.0
             continue
-        total, left = 0.0, 0.0
-        for b in range(64):
-            e = _irradiance(cones, terms, m, b & 7, b >> 3, shape, both[k])
-            total += e
-            if (mask >> np.uint64(b)) & np.uint64(1) == np.uint64(0):
-                left += e
+        total, left = _arriving(mask, shape, cones, terms, m, behind[k] == ALL)
+        if total == 0.0 and behind[k] == BUMPS:
+            total, left = _arriving(mask, shape, cones, terms, m, True)
         share[k] = left / total if total > 0.0 else 1.0

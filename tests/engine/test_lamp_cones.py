@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pointmr_engine import Light
 from pointmr_engine.multires.cones import allocate_cones
-from pointmr_engine.multires.lamp_cones import ACROSS, TERMS, lamp_cones, take_shares
+from pointmr_engine.multires.lamp_cones import ACROSS, ALL, BUMPS, NOTHING, TERMS, lamp_cones, take_shares
 from pointmr_engine.raytracing.lamps import compile_lamps, intersect_lamp
 
 KINDS = {
@@ -30,25 +30,25 @@ def lamp_of(name: str, place: np.ndarray | None = None):
     return compile_lamps([Light(values.pop("kind"), place, power=1.0, **values)])[0]
 
 
-def cones_from(lamps, points: np.ndarray, normal, both: bool = False):
+def cones_from(lamps, points: np.ndarray, normal, behind: int = NOTHING):
     """(count, cones, terms, rows) of points (N, 3) whose normal is the same; each is a footprint of its own."""
     n = len(points)
     cones, terms, rows = allocate_cones(n), np.empty((n, TERMS)), np.empty(n, np.int32)
     count = lamp_cones(
-        lamps, np.int64(0), np.asarray(points, float), np.tile(np.float32(normal), (n, 1)), np.full(n, both),
-        np.full(n, 1e-6, np.float32), np.zeros(n), np.ones(n, np.int32), np.int64(n), cones, rows, terms,
+        lamps, np.int64(0), np.asarray(points, float), np.tile(np.float32(normal), (n, 1)),
+        np.full(n, behind, np.uint8), np.full(n, 1e-6, np.float32), np.zeros(n), np.ones(n, np.int32), np.int64(n),
+        cones, rows, terms,
     )  # fmt: skip
     return count, cones, terms, rows
 
 
-def shares_of(lamps, masks: np.ndarray, cones, terms, rows, both: bool = False) -> np.ndarray:
+def shares_of(lamps, masks: np.ndarray, cones, terms, rows, behind: int = NOTHING) -> np.ndarray:
     """(N,) shares that masks (N, 64) bool of blocked sub-rays leave."""
     n = len(masks)
     bits = (masks.astype(np.uint64) << np.arange(64, dtype=np.uint64)).sum(1, dtype=np.uint64)
     share = np.full(int(rows[:n].max()) + 1, 7.0, np.float32)
-    take_shares(
-        bits, np.int64(lamps.shape[0]), cones, terms, np.full(len(share), both), rows, np.int64(n), share
-    )
+    behind = np.full(len(share), behind, np.uint8)
+    take_shares(bits, np.int64(lamps.shape[0]), cones, terms, behind, rows, np.int64(n), share)
     return share[rows[:n]].astype(float)
 
 
@@ -119,19 +119,20 @@ def test_a_half_plane_over_the_middle_leaves_a_half_in_the_mean(name):
     assert np.abs(share - 0.5).max() < 0.13  # half of seven cells, of the lamp's width
 
 
-def test_surfaces_that_face_away_take_no_cone_unless_light_passes_them():
+@pytest.mark.parametrize("behind", [ALL, BUMPS])
+def test_surfaces_that_face_away_take_no_cone_unless_light_passes_them_or_bumps_may_face_it(behind):
     lamps = lamp_of("square")
     points = np.array([[0.0, 0.0, 0.0]])
     assert cones_from(lamps, points, (0, 0, -1))[0] == 0
-    count, cones, terms, rows = cones_from(lamps, points, (0, 0, -1), both=True)
+    count, cones, terms, rows = cones_from(lamps, points, (0, 0, -1), behind)
     assert count == 1
     some = np.zeros((1, 64), bool)
     some[0, :32] = True
-    assert 0.3 < shares_of(lamps, some, cones, terms, rows, both=True)[0] < 0.7
+    assert 0.3 < shares_of(lamps, some, cones, terms, rows, behind)[0] < 0.7
 
 
 @pytest.mark.parametrize("name", ["square", "disk"])
 def test_lamps_seen_from_behind_or_edge_on_take_no_cone(name):
     lamps = lamp_of(name)
     for z in (2.0, 2.5):
-        assert cones_from(lamps, np.array([[3.0, 0.0, z]]), (0, 0, 1), both=True)[0] == 0
+        assert cones_from(lamps, np.array([[3.0, 0.0, z]]), (0, 0, 1), ALL)[0] == 0
