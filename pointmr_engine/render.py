@@ -220,9 +220,15 @@ def _splat(
     from pointmr_engine.image.film import Film
     from pointmr_engine.raytracing.camera import compile_camera
 
+    found: list[str] = []  # by looking at the scene once more
     if settings.method == "raytrace":
+        from pointmr_engine.multires.cone_light import sampled_lights
         from pointmr_engine.multires.method import FRAGMENTS, TracedImage
 
+        if settings.raytrace.secondary == "cones":
+            lights = sampled_lights(scene, compiled.sampler, compiled.lights)
+            found = [w for w in lights.warnings if w not in compiled.warnings]
+            compiled = compiled._replace(lights=lights)
         stage = _prepare(scene, compiled, replace(settings, passes=("combined",), samples=FRAGMENTS), clock)
         image = TracedImage(compiled.sampler, scene, stage, settings)
     else:
@@ -232,7 +238,7 @@ def _splat(
     counters = render_image(
         image, frame, lambda fraction, tile: clock.tell(fraction, None if tile is None else Tile(*tile))
     )
-    frame.warnings += image.warnings + image.sets.take_warnings()
+    frame.warnings += found + image.warnings + image.sets.take_warnings()
     return frame, counters, image.needs()
 
 

@@ -23,7 +23,7 @@ def emissive_lamps(geometry: Geometry, programs: list) -> list[Light]:
     """Lamps that stand for the emissive surfaces of a scene, strongest first."""
     if not any(p.emissive for p in programs):
         return []
-    emitters, _, _, _ = find_emitters(geometry, programs)
+    emitters, _, _, _ = find_emitters(geometry, programs, every=True)
     lamps: list[Light] = []
     if not len(emitters.path):
         return lamps

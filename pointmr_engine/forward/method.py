@@ -50,6 +50,7 @@ class Sampler:
         self.world_light = WorldLight(self.environment)
         self.ambient = self.world_light.mean
         self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_light.ConeLight)
+        self.lights = None  # by cone_light.sampled_lights, where lights of the scene are left to chance
         self.micromap = None  # by multires.opacity_micromap, when shadow rays first pass surfaces
         self.sets: dict[tuple, SampleSets] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit

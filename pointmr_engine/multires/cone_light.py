@@ -14,9 +14,10 @@ from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones
 from pointmr_engine.multires.lens import sharpest
 from pointmr_engine.multires.world_rays import WORTH
+from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
-from pointmr_engine.raytracing.lights import LAMP, WORLD
+from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
 from pointmr_engine.shading.points import RAY_SHADOW
 
 # shadow rays of a fragment to the world, to emitters, to one of many lights
@@ -92,6 +93,18 @@ class ConeLight:
     def blocked(self, cones: Cones, count: int, masks: np.ndarray) -> None:
         """masks (N,) uint64: the sub-rays of cones 0..count that something stops."""
         visible(self.acceleration, self.prefiltered()[0], cones, masks, None, 0, count)
+
+
+def sampled_lights(scene, sampler, lights):
+    """The scene's `lights`, but with all that shines among what is sampled, as cones need it; kept in the sampler."""
+    materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
+    if not lights.only_met and all(
+        sampled_sides(m, p) == sampled_sides(m, p, every=True) for m, p in materials
+    ):
+        return lights
+    if sampler.lights is None:
+        sampler.lights = build_lights(scene, sampler.geometry, sampler.programs, every=True)
+    return sampler.lights
 
 
 def _is_wide(lamps, k: int) -> bool:

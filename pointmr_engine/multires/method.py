@@ -74,7 +74,9 @@ class TracedImage(Image):
         self.hardly = 0.0
         materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
         # of materials, and of none
-        self.shining = np.array([*(sampled_sides(m, p) != 0 for m, p in materials), False], np.bool_)
+        self.shining = np.array(
+            [*(sampled_sides(m, p, every=True) != 0 for m, p in materials), False], np.bool_
+        )
         self.tile = max(WIDTH // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough

@@ -75,13 +75,15 @@ def estimate_emission(graph: Graph) -> float:
     return float(np.abs(below(graph.surface, 0)).max())
 
 
-def sampled_sides(material: Material | None, program) -> int:
-    """Which sides of a material's surfaces are sampled as lights: FRONT and BACK bits."""
+def sampled_sides(material: Material | None, program, every: bool = False) -> int:
+    """Which sides of a material's surfaces are sampled as lights: FRONT and BACK bits; `every`: both that shine."""
     if material is None or not program.emissive:
         return 0
     constant = program.constant_emission
     if constant is not None and not np.any(constant):
         return 0
+    if every:
+        return FRONT | BACK
     if material.emission_sampling == "AUTO":
         strength = estimate_emission(material.graph) if constant is None else float(np.abs(constant).max())
         return FRONT | BACK if strength > _WEAK else 0
@@ -89,14 +91,15 @@ def sampled_sides(material: Material | None, program) -> int:
 
 
 def find_emitters(
-    geometry: Geometry, programs: list
+    geometry: Geometry, programs: list, every: bool = False
 ) -> tuple[Emitters, np.ndarray, Placements | None, list[str]]:
     """All emissive triangles worth sampling, through every instance, at most MOST_EMITTERS.
 
     Returns them, the material of each (E,) int32, where they were found, and warnings.
     programs: one Program per geometry.materials. Beyond the limit emission is still seen by rays that meet it.
+    every: all that shines, not only what its material wants sampled.
     """
-    sides = [sampled_sides(m, p) for m, p in zip(geometry.materials, programs, strict=True)]
+    sides = [sampled_sides(m, p, every) for m, p in zip(geometry.materials, programs, strict=True)]
     local = {}
     if any(sides):
         for part in range(len(geometry.parts)):

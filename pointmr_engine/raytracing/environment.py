@@ -43,16 +43,16 @@ class WorldMap(NamedTuple):
 
 
 class Environment:
-    """The world's program, its importance map and who may see it."""
+    """The world's program, its importance map and who may see it. every: sampled even where the world says NONE."""
 
-    def __init__(self, world: World):
+    def __init__(self, world: World, every: bool = False):
         self.program: Program = compile_graph(world.graph, "background")
         self.visibility = world.visibility
         self.warnings = list(self.program.warnings)
         self.constant = self.program.constant_emission
         self.black = not self.program.emissive or self.constant == (0.0, 0.0, 0.0)
         self.map = _no_map()
-        if self.black or world.sampling == "NONE":
+        if self.black or (world.sampling == "NONE" and not every):
             return
         if self.constant is not None:
             self.map = _no_map(UNIFORM, math.pi * abs(float(np.mean(self.constant))))

@@ -270,14 +270,17 @@ def build_lights(
     scene: Scene,
     geometry: Geometry,
     programs: list,
+    every: bool = False,
 ) -> Lights:
     """Compile the lights of `scene`.
 
     geometry: hierarchy.geometry.Geometry; programs: the materials' Programs in the order of geometry.materials.
+    every: for methods whose diffuse surfaces send no rays that could meet a light by chance: all that shines is
+    sampled, faint emission, the backs of surfaces, and a world that wants to be left to chance, too.
     """
     lamps, warnings = compile_lamps(scene.lights)
-    emitters, material, places, more = find_emitters(geometry, programs)
-    environment = Environment(scene.world)
+    emitters, material, places, more = find_emitters(geometry, programs, every)
+    environment = Environment(scene.world, every)
     warnings = warnings + more + environment.warnings
     extended = (lamps.shape != POINT) & (lamps.shape != DISTANT)
     suns = np.flatnonzero(extended & (lamps.shape > DISTANT))
@@ -293,7 +296,7 @@ def build_lights(
         np.concatenate([suns, local]).astype(np.int32),
     )
     dark = [
-        m is not None and p.emissive and not sampled_sides(m, p)
+        m is not None and p.emissive and not sampled_sides(m, p, every)
         for m, p in zip(geometry.materials, programs, strict=True)
     ]
     only_met = any(dark) or bool(more) or (environment.map.mode == OFF and not environment.black)
