@@ -1,0 +1,63 @@
+"""Lights that a scene leaves to chance: whoever sends rays meets them, and methods that do not sample them all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pointmr_engine import Group, Material, Scene, principled, uniform_world
+from pointmr_engine.multires.cone_light import sampled_lights
+from pointmr_engine.render import Cache
+from pointmr_engine.scene.graph import Graph, Link, Node
+from tests.engine.small_scenes import from_above, half_a_sky, quad
+from tests.engine.test_raytrace_light import DARK, card, image
+
+GREY = principled(base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0)
+
+
+def shining(strength: float, sampling: str) -> Material:
+    graph = Graph({"e": Node("emission", {"strength": strength})}, surface=Link("e", "emission"))
+    return Material("shines", graph, emission_sampling=sampling)
+
+
+def wall_and_floor(strength: float, sampling: str, turned: bool = False) -> Scene:
+    """A shining wall beside a floor that is seen from above."""
+    corners = [(-1, 1, 0.1), (1, 1, 0.1), (1, 1, 2), (-1, 1, 2)]
+    wall = card("wall", corners[::-1] if turned else corners, shining(strength, sampling))
+    return Scene(Group("root", [quad(2.0, material=GREY), wall]), from_above(5.0), [], DARK)
+
+
+@pytest.mark.parametrize("world", [uniform_world((0.5, 0.7, 1.0)), half_a_sky()])
+def test_a_world_that_is_left_to_chance_lights_as_much(world):
+    scenes = [
+        Scene(Group("root", [quad(2.0, material=GREY)]), from_above(4.0), [], replace(world, sampling=how))
+        for how in ("AUTOMATIC", "NONE")
+    ]
+    sampled, chance = (image(s, cones=4) for s in scenes)
+    assert sampled.mean() > 0.1
+    np.testing.assert_array_equal(sampled, chance)
+
+
+@pytest.mark.parametrize(("strength", "sampling"), [(0.4, "AUTO"), (5.0, "NONE")])
+@pytest.mark.parametrize("turned", [False, True])
+def test_emission_that_is_left_to_chance_lights_as_much(strength, sampling, turned):
+    scene = wall_and_floor(strength, sampling, turned)
+    exact = image(scene, method="distributed", samples=1024)
+    assert exact[:24].mean() > 0.01 * strength
+    assert image(scene, cones=4)[:24].mean() == pytest.approx(exact[:24].mean(), rel=0.03)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_sides_that_are_not_sampled_light_as_much(turned):
+    ours, both = (image(wall_and_floor(5.0, s, turned), cones=4)[:24].mean() for s in ("FRONT", "FRONT_BACK"))
+    assert ours == pytest.approx(both, rel=0.03) and both > 0.05
+
+
+def test_lights_are_gathered_once_more_only_where_some_are_left_to_chance():
+    for strength, again in ((5.0, False), (0.4, True)):
+        cache, scene = Cache(), wall_and_floor(strength, "AUTO")
+        image(scene, cache)
+        compiled = cache.find(scene, True)
+        lights = sampled_lights(scene, compiled.sampler, compiled.lights)
+        assert (lights is not compiled.lights) == again == (compiled.sampler.lights is not None)
+        assert len(lights.arrays.emitters.path) == 2
