@@ -8,7 +8,7 @@ import numpy as np
 
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.albedo_tables import ONLY, lookup2, lookup3
-from pointmr_engine.shading.bsdf.fresnel import dielectric_average, f0_of_ior, f82_average, remap
+from pointmr_engine.shading.bsdf.fresnel import dielectric_average, f0_of_ior, f82, f82_average, remap
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
@@ -125,8 +125,9 @@ def albedo(kind, data, i, j, tables, cos_ni):
         reflected = multiply(mixed, load3(data, i, j, TINT))
     elif kind & FRESNEL_F82:
         s = lookup2(tables.schlick, ONLY, cos_ni, _roughness(data, i, j))
-        f0 = load3(data, i, j, F0)
-        reflected = (f0[0] + (1.0 - f0[0]) * s, f0[1] + (1.0 - f0[1]) * s, f0[2] + (1.0 - f0[2]) * s)
+        f0, b = load3(data, i, j, F0), load3(data, i, j, TINT)
+        c = 1.0 - s**0.2  # as if all facets were met at one cosine
+        reflected = (f82(c, f0[0], b[0]), f82(c, f0[1], b[1]), f82(c, f0[2], b[2]))
     elif kind & FRESNEL_DIELECTRIC and ior > 1.0:
         s = lookup3(tables.schlick_dielectric, ONLY, z, cos_ni, _roughness(data, i, j))
         f0_real = f0_of_ior(ior)
