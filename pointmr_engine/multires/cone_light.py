@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pointmr_engine.forward.baking import materials_of
 from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.cone_walk import visible
 from pointmr_engine.multires.cones import Cones
@@ -18,13 +17,11 @@ from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps
 from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
-from pointmr_engine.shading.points import RAY_SHADOW
 
 # shadow rays of a fragment to the world, to emitters, to one of many lights
 WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4  # of a point; of first surfaces to the world: see world_rays
 FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
-OPACITY_LOOKS = 256  # triangles of a part at which its materials' opacity is looked up
 
 
 class ConeLight:
@@ -59,6 +56,7 @@ class ConeLight:
         self.extended = lamps > 0 and bool(arrays.lamps.mis.all())
         self.bends = self.extended and not self.many
         of = arrays.lamps.source
+        self.alone = [compile_lamps([scene.lights[of[k]]])[0] for k in wide]
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
         self._sampler, self._lock = sampler, threading.Lock()
 
@@ -68,17 +66,15 @@ class ConeLight:
         return self.shares_world or self.shares_lamps or self.shares_lobes
 
     def prefiltered(self) -> tuple:
-        """What shadow cones walk and what lobes' cones walk, made when the first cone asks.
-
-        Shadows pass what is transparent by its mean opacity; lobes see surfaces, whose shading lets them through.
-        """
+        """What cones walk: surfaces that let no light through, and all surfaces; made when the first cone asks."""
         sampler = self._sampler
         with self._lock:
             if sampler.prefiltered is None:
-                opacity = mean_opacity(sampler)
+                used = len(sampler.geometry.materials)
+                opaque = np.array([float(p.opaque) for p in sampler.programs] + [1.0])[:used]
                 whole = prefilter(self.acceleration)
-                clear = whole if (opacity == 1.0).all() else prefilter(self.acceleration, opacity)
-                sampler.prefiltered = clear, whole
+                solid = whole if opaque.all() else prefilter(self.acceleration, opaque)
+                sampler.prefiltered = solid, whole
         return sampler.prefiltered
 
     def stage(self, stage: Stage, lights) -> Stage:
@@ -90,9 +86,9 @@ class ConeLight:
             limits=stage.limits._replace(diffuse_by_lights=True),
         )
 
-    def blocked(self, cones: Cones, count: int, masks: np.ndarray) -> None:
-        """masks (N,) uint64: the sub-rays of cones 0..count that something stops."""
-        visible(self.acceleration, self.prefiltered()[0], cones, masks, None, 0, count)
+    def blocked(self, cones: Cones, count: int, masks: np.ndarray, solid: bool = False) -> None:
+        """masks (N,) uint64: the sub-rays of cones 0..count that something stops, or that no light passes (`solid`)."""
+        visible(self.acceleration, self.prefiltered()[0 if solid else 1], cones, masks, None, 0, count)
 
 
 def sampled_lights(scene, sampler, lights):
@@ -113,24 +109,3 @@ def _is_wide(lamps, k: int) -> bool:
     if shape == SUN:
         return row[CONE] > 1.0 - math.cos(SHARP)
     return shape not in (POINT, DISTANT) and bool(lamps.cast_shadow[k])
-
-
-def mean_opacity(sampler) -> np.ndarray:
-    """(materials,) mean opacity of each material for shadows, over the middles of some of its triangles."""
-    opacity = np.array([float(p.opaque) for p in sampler.programs] + [1.0])[: len(sampler.geometry.materials)]
-    for p in range(len(sampler.geometry.parts)):
-        tables = sampler.geometry.tables
-        slots = tables.slot_material[tables.first_slot[p] : tables.first_slot[p] + tables.slots[p]]
-        if all(sampler.programs[m].opaque for m in slots):
-            continue
-        count = len(sampler.geometry.shapes[tables.shape[p]].triangles)
-        if not count:
-            continue
-        triangle = np.unique(np.linspace(0, count - 1, OPACITY_LOOKS).astype(np.int32))
-        some = np.full(len(triangle), p, np.int32), triangle, *np.full((3, len(triangle)), 1 / 3, np.float32)
-        alpha = sampler.baker(*some, ray_kind=RAY_SHADOW).alpha
-        material = np.empty(len(triangle), np.int32)
-        materials_of(tables, *some[:2], material)
-        for m in np.unique(material):
-            opacity[m] = alpha[material == m].mean()
-    return opacity

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.lobe_light import shade_lamps, widen_by_normals, widen_more
+from pointmr_engine.forward.lobe_light import widen_by_normals, widen_more
 from pointmr_engine.forward.world_light import world_lobe
 from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones import allocate_cones
 from pointmr_engine.multires.fragment_paths import BATCH
-from pointmr_engine.multires.lamp_cones import TERMS, lamp_cones, lit_from_behind, raise_points, take_shares
 from pointmr_engine.multires.lobe_lamps import first_fragments, lamps_in_cones
 from pointmr_engine.multires.lobe_paths import BY_SAMPLES
 from pointmr_engine.multires.lobe_rays import ROUGH
@@ -28,7 +27,7 @@ from pointmr_engine.multires.lobe_shares import (
 from pointmr_engine.multires.lobe_view import allocate_lobe_cones, follow_cones, thin_out, weigh_sub_rays
 from pointmr_engine.multires.scatter import STRONG, scatter_lobes
 from pointmr_engine.multires.shadow_edges import LARGE
-from pointmr_engine.multires.sharing_paths import SharingPaths
+from pointmr_engine.multires.wide_lamps import WideLamps
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
@@ -44,32 +43,22 @@ MOST = 3  # fragments of a cone
 GAPS = 2.0  # times the variance of a fragment's normals, added for lamps
 
 
-class ConePaths(SharingPaths):
+class ConePaths(WideLamps):
     """One thread's paths by cones. light: ConeLight, what all threads share."""
 
     def __init__(self, stage, light):
         super().__init__(light.stage(stage, light.rays), light, ROOM)
         n = ROOM
         self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.lights)
-        self.width = np.empty(n, np.float32)
-        self.behind_lit = np.empty(n, np.uint8)
-        self.raised = np.empty((n, 3))
-        self.received = np.zeros((n, 3), np.float32)
-        self.ones = np.ones(n)
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
         self.none = np.zeros(n, np.bool_)
-        self.share = np.ones((len(light.lamps.shape), n), np.float32)
-        self.rows = np.empty(n, np.int32)
-        self.terms = np.empty((n, TERMS))
-        self.cones = allocate_cones(n)
         self.lobe_cones, self.next_cones = (allocate_lobe_cones(n, allocate_cones(n)) for _ in range(2))
         self.met = paths.allocate_paths(n, self.stage.camera.camera_from_world)
         self.met_fragments = allocate_fragments(n)
         self.escaped = np.empty(n, np.uint64)
         self.then = self.met
-        self.masks = np.empty(n, np.uint64)
         self.lobe_alpha, self.behind = np.zeros(n, np.float32), np.ones((n, 3), np.float32)
         self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
         # behind first surfaces, lobes and samples share the lamps but where these have cones
@@ -116,7 +105,7 @@ class ConePaths(SharingPaths):
             super()._direct_light(now, n, alive, bounce)
         self.small = None
         if len(light.lamps.shape) and lobes.count[:n].any():
-            self._wide_lamps(now, n)
+            self.light_wide_lamps(now, n, bounce)
 
     def _look_at_light(self, now, m: int, turn) -> None:
         """As SharingPaths; a lamp of its own finds no gaps between the lobes of neighbours on a curved surface."""
@@ -173,43 +162,6 @@ class ConePaths(SharingPaths):
     def _small(self, n: int) -> np.ndarray:
         """(n,) bool: fragments that weigh too little for cones, and for more than half of the rays to the world."""
         return self.space.fragments.count[self.first : self.first + n] < LARGE
-
-    def _wide_lamps(self, now, n: int) -> None:
-        """Add the light of lamps that take cones."""
-        lobes, lamps, count = self.lobes, self.light.lamps, np.int64(n)
-        self.received[:n] = 0.0
-        reach = np.where(np.isfinite(self.hits.t[:n]), self.hits.t[:n], 0.0)
-        self.width[:n] = now.state.width[:n] + now.state.spread[:n] * reach
-        lit_from_behind(lobes, self.behind_lit, count)
-        for i in range(len(lamps.shape)):
-            self._shadow(i, n)
-        shade_lamps(
-            lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, lamps, self.share,
-            np.int64(0), count, self.received,
-        )  # fmt: skip
-        paths.add_radiance(now, self.samples, self.stage.limits, self.received[:n], self.ones[:n], n)
-
-    def _shadow(self, i: int, n: int) -> None:
-        """The share of lamp i that arrives at points 0..n."""
-        lamps, lobes, position = self.light.lamps, self.lobes, self.frames.position
-        self.share[i, :n] = 1.0
-        if self.raises:
-            position = self.raised
-            raise_points(
-                lamps, np.int64(i), self.stage.shader.geometry.tables, self.hits, self.frames, lobes.normal,
-                lobes.count, np.int64(n), *self.triangle, position,
-            )  # fmt: skip
-        m = lamp_cones(
-            lamps, np.int64(i), position, lobes.normal, self.behind_lit, self.width,
-            self.frames.offset, lobes.count, np.int64(n), self.cones, self.rows, self.terms,
-        )  # fmt: skip
-        if not m:
-            return
-        self.counters["lamp_cones"] += m
-        self.light.blocked(self.cones, m, self.masks)
-        take_shares(
-            self.masks, lamps.shape[i], self.cones, self.terms, self.behind_lit, self.rows, np.int64(m), self.share[i],
-        )  # fmt: skip
 
     def _scatter(self, now, n: int, alive, bounce: int, bent) -> None:
         """Paths behind the surfaces, and their cones. bent: see scatter_lobes."""

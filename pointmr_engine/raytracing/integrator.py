@@ -352,6 +352,11 @@ class Workspace:
         count = self.connect(now, m, chosen)
         if self.raises and count:
             self.raise_origins(count)
+        self.follow_shadow_rays(now, count)
+
+    def follow_shadow_rays(self, now, count: int) -> None:
+        """Add the light of shadow rays 0..count that arrives, less what the surfaces that they pass keep of it."""
+        stage = self.stage
         while count:
             walk.shadow(stage.acceleration, self.shadows.rays, self.shadow_hits, 0, count)
             self.counters["shadow_rays"] += count
