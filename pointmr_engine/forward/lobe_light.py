@@ -304,12 +304,11 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
 
 
 @uncounted
-def finish(lobes, holdout, fragments, first, count, light, clear):
+def finish(lobes, holdout, fragments, first, count, light, held):
     """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are held out.
 
     light (F, 3): what arrived is there; the share that transparency leaves is taken out, since areas and cut-outs
-    account for it. clear (F,) float32: share of a fragment's subpixels to be emptied. Albedo and emission go to the
-    fragments.
+    account for it. held (F,) float32: share of a fragment that is held out. Albedo and emission go to the fragments.
     """
     some = False
     for k in range(count):
@@ -318,30 +317,14 @@ def finish(lobes, holdout, fragments, first, count, light, clear):
         for c in range(3):
             light[f, c] += lobes.emission[k, c]
             t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
-        held = min(max(np.float64(lobes.holdout[k]), 0.0), 1.0)
-        if holdout[k]:
-            held = 1.0 - t
         t = min(t, 0.999)
-        scale = 1.0 / (1.0 - t) if t < 1.0 else 0.0
+        scale = 1.0 / (1.0 - t)
+        held[f] = min(max(np.float64(lobes.holdout[k]), 0.0) * scale, 1.0)
         if holdout[k]:
-            scale = 0.0
-        clear[f] = 0.0
-        if held > 0.0:
-            clear[f] = min(held, 1.0)
-        some = some or clear[f] > 0.0
+            held[f], scale = 1.0, 0.0
+        some = some or held[f] > 0.0
         for c in range(3):
             light[f, c] *= scale
             fragments.albedo[f, c] = min(np.float64(lobes.diffuse_color[k, c]) * scale, 1.0)
             fragments.emission[f, c] = lobes.emission[k, c] * scale
     return some
-
-
-@uncounted
-def open_clear(ids, width, height, pattern, clear):
-    """Empty the subpixels of fragments that are not opaque, as many as their share `clear` (F,) says (ordered
-    dither)."""
-    for y in range(height):
-        for x in range(width):
-            k = ids[y, x]
-            if k >= 0 and clear[k] > pattern[y & 7, x & 7]:
-                ids[y, x] = -1

@@ -9,7 +9,7 @@ import numpy as np
 
 from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
 from pointmr_engine.forward.fragment_surfaces import NO_EYES, place_fragments, place_values, surfel_frames
-from pointmr_engine.forward.lobe_light import finish, open_clear, shade_lamps, shade_world, widen_by_normals
+from pointmr_engine.forward.lobe_light import finish, shade_lamps, shade_world, widen_by_normals
 from pointmr_engine.forward.placement_values import NEEDS
 from pointmr_engine.raytracing.camera import window_coordinates
 from pointmr_engine.raytracing.frames import frames
@@ -43,27 +43,20 @@ class FullShading:
     def shade(self, space, hierarchy, count: int) -> None:
         """Fill space.light[:count] with radiance towards the camera; fragments get their albedo, emission and normals.
 
-        Subpixels of fragments that hold out are emptied in the tile's ids.
+        space.held has the share of each that is held out, if any is.
         """
         if space.shading is None:
             space.shading = _Space(self)
         own = space.shading
-        if len(own.clear) < count:
-            own.clear = np.empty(2 * count, np.float32)
+        if len(own.held) < count:
+            own.held = np.empty(2 * count, np.float32)
         values = space.placement_values(hierarchy) if self.instances else None
         some = False
         for first in range(0, count, BATCH):
             n = min(BATCH, count - first)
             some |= self._shade_batch(space, own, hierarchy, values, first, n)
         if some:
-            open_clear(
-                space.target.ids,
-                np.int64(space.width),
-                np.int64(space.height),
-                space.target.pattern,
-                own.clear,
-            )
-            space.empty.fill(1)
+            space.held = own.held
 
     def _shade_batch(self, space, own, hierarchy, values, first: int, n: int) -> bool:
         image, f = self.image, space.fragments
@@ -103,7 +96,7 @@ class FullShading:
                 own.lobes, own.view.incoming, own.flat, self.shader.tables, world.diffuse, world.glossy,
                 world.transmission, n_, light,
             )  # fmt: skip
-        return finish(own.lobes, own.hits.holdout, f, first_, n_, space.light, own.clear)
+        return finish(own.lobes, own.hits.holdout, f, first_, n_, space.light, own.held)
 
 
 class _Space:
@@ -118,7 +111,7 @@ class _Space:
         self.alpha = np.empty((n, max(lobes, 1), 2), np.float32)
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.order, self.wanted = np.zeros(n, np.int64), np.ones(n, np.bool_)
-        self.clear = np.empty(n, np.float32)
+        self.held = np.empty(n, np.float32)
 
 
 def _has_holdouts(geometry) -> bool:

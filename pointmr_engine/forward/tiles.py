@@ -114,6 +114,7 @@ class Workspace:
             if missing is not None:
                 return missing
             self.shadow = self.shadow_maps.share
+        self.held = None
         self.image.shading.shade(self, hierarchy, count)
         self.slopes = self._slopes(count)
         self._background(bounds)
@@ -175,7 +176,10 @@ class Workspace:
         def filtered(values, background):
             return self._filtered(values, background, rows, columns)
 
-        combined = filtered(self.light, self.background)
+        combined, nothing = filtered(self.light, self.background), np.zeros_like(self.background)
+        if self.held is not None:
+            held = np.repeat(self.held[:, None], 3, 1)
+            combined[:, :, 3] = np.maximum(combined[:, :, 3] - filtered(held, nothing)[:, :, 0], 0.0)
         if image.settings.film_exposure != 1.0:
             combined[:, :, :3] *= image.settings.film_exposure
         if not np.isfinite(combined).all():
@@ -183,7 +187,6 @@ class Workspace:
         frame.passes["combined"][where] = combined
         if len(frame.passes) == 1:
             return
-        nothing = np.zeros_like(self.background)
         middle = image.apron * s + s // 2
         nearest = self.target.ids[middle : self.height : s, middle : self.width : s][:rows, :columns]
         seen, k = nearest >= 0, np.maximum(nearest, 0)

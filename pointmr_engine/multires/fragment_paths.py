@@ -309,7 +309,12 @@ class FragmentPaths(Workspace):
 
     def receive(self, first: int, base: int, count: int) -> None:
         """Give the fragments first..first + count what the samples from `base` on have found."""
-        self.space.light[first : first + count] = self.every.radiance[base : base + count]
+        space, held = self.space, self.every.transparency[base : base + count]
+        space.light[first : first + count] = self.every.radiance[base : base + count]
+        if held.any():
+            if space.held is None:
+                space.held = np.zeros(len(space.light), np.float32)
+            space.held[first : first + count] = np.minimum(held, 1.0)
 
     def finish_tile(self, count: int) -> None:
         """Radiance of the tile's fragments 0..count, which have all been traced, to space.light."""

@@ -162,6 +162,8 @@ class TracedTiles(Workspace):
     def lend(self, count: int) -> None:
         """Give the fragments behind the first `count` the light of those that stand for them."""
         lend_light(self.light, self.stands, np.int64(count), np.int64(self.all))
+        if self.held is not None:
+            self.held[count : self.all] = self.held[self.stands[count : self.all]]
 
     def _slopes(self, count: int) -> Slopes:
         image, count = self.image, max(count, self.all)
