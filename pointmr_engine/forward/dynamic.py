@@ -33,7 +33,7 @@ from pointmr_engine.forward.point_draws import (
     faces_away,
 )
 from pointmr_engine.forward.projection import densest, depth_ratio
-from pointmr_engine.forward.subpixels import Target, View, clear, mark_drawn
+from pointmr_engine.forward.subpixels import Target, View, beyond, clear, mark_drawn
 from pointmr_engine.forward.transforms import box_to_camera, compose, compose_root
 from pointmr_engine.forward.walk import (
     DONE,
@@ -108,7 +108,7 @@ def sample_tile(
         scratch.grow(status)
         scratch.counters[:] = before
         if shown is None:
-            clear(target, bounds[2] - bounds[0])
+            clear(target, bounds[2] - bounds[0], beyond(view))
         else:
             target.depth[:], target.ids[:] = shown
             target.stale.fill(1)

@@ -1,8 +1,9 @@
 """Light that the lobes of fragments send to the camera: from lamps by a few fixed points of each, from the world by
 maps.
 
-Nothing is random, so nothing is noisy: a lamp is one point where it looks small and up to sixteen where it is wide,
-and lobes are widened by the part of the lamp that each point stands for, so that sharp highlights keep the lamp's size.
+Nothing is random, so nothing is noisy: a lamp is one point where it looks small, up to sixteen where it is wide and 64
+where a surface sees a part of it, and lobes are widened by the part of the lamp that each point stands for, so that
+sharp highlights keep the lamp's size.
 """
 
 from __future__ import annotations
@@ -14,7 +15,30 @@ import numpy as np
 from pointmr_engine.forward.lamps_in_lobes import hide_lobes, lamp_in_lobes, narrow_lobes, point_beside_lobes
 from pointmr_engine.forward.world_light import world_irradiance, world_lobe
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.raytracing.lamps import DISTANT, POINT, RECTANGLE, sample_lamp
+from pointmr_engine.raytracing.lamps import (
+    AX,
+    AY,
+    AZ,
+    CONE,
+    DISTANT,
+    ELLIPSE,
+    HALF_U,
+    HALF_V,
+    POINT,
+    PX,
+    PY,
+    PZ,
+    RADIUS,
+    RECTANGLE,
+    SUN,
+    UX,
+    UY,
+    UZ,
+    VX,
+    VY,
+    VZ,
+    sample_lamp,
+)
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
@@ -39,8 +63,11 @@ from pointmr_engine.shading.lobes import evaluate
 FOUR, SIXTEEN = 0.05, 0.6  # solid angles (sr) from which a lamp is four or sixteen points ...
 SHARP = 0.005  # ... and from which it is sixteen for lobes that are narrower than the lamp
 # by which points are moved outwards from a lamp's middle, so that their mean square distance from it is the lamp's:
-# of 2 x 2 and 4 x 4 points, by sides of a rectangle and by the concentric mapping of round lamps
-APART = ((1.0, 1.1547, 1.0, 1.0328), (1.0, 1.4142, 1.0, 1.069))
+# of n x n points, n a power of two, by sides of a rectangle and by the concentric mapping of round lamps
+APART = (
+    (1.0, 1.1547, 1.0, 1.0328, 1.0, 1.0, 1.0, 1.0079),
+    (1.0, 1.4142, 1.0, 1.069, 1.0, 1.0, 1.0, 1.016),
+)
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
 
 
@@ -93,6 +120,20 @@ def _whole_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive):
 
 
 @device
+def _sees_a_part(lamps, i, px, py, pz, n):
+    """Whether the plane of a surface of normal n through p may cut lamp i in two."""
+    row, shape = lamps.values[i], lamps.shape[i]
+    if shape == SUN:
+        middle, reach = -dot(n, (row[AX], row[AY], row[AZ])), math.sqrt(row[CONE] * (2.0 - row[CONE]))
+    else:
+        middle, reach = dot(n, (row[PX] - px, row[PY] - py, row[PZ] - pz)), row[RADIUS]
+        if shape == RECTANGLE or shape == ELLIPSE:
+            reach = row[HALF_U] * abs(dot(n, (row[UX], row[UY], row[UZ])))
+            reach += row[HALF_V] * abs(dot(n, (row[VX], row[VY], row[VZ])))
+    return abs(middle) < reach
+
+
+@device
 def _sharpest(lobes, i, alpha):
     """The least squared roughness of point i's microfacet lobes; 1 where it has none."""
     least = 1.0
@@ -141,6 +182,8 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                 side = np.int64(4)
             elif solid > FOUR:
                 side = np.int64(2)
+            if solid > 0.0 and _sees_a_part(lamps, np.int64(i), px, py, pz, normal):
+                side = np.int64(8)
             points = side * side
             apart = APART[0 if lamps.shape[i] == RECTANGLE else 1][side - 1]
             if points == 1 and plane >= 1.0 and not transmissive:

@@ -85,9 +85,17 @@ def allocate_target(width: int, height: int) -> Target:
     return Target(depth, ids, np.zeros(blocks, np.float32), np.zeros(blocks, np.uint8), address, pattern)
 
 
-def clear(target: Target, width: int) -> None:
-    """Empty all buffers for a tile that is `width` subpixels wide; what lies beyond hides nothing and shows nothing."""
-    target.depth.fill(0.0)
+def beyond(view: View) -> float:
+    """Nearness of the far clipping plane."""
+    return 1.0 / view.far if view.perspective else max(view.depth_shift - view.far * view.depth_scale, 0.0)
+
+
+def clear(target: Target, width: int, far: float = 0.0) -> None:
+    """Empty all buffers for a tile that is `width` subpixels wide; what lies beyond hides nothing and shows nothing.
+
+    far: nearness from which on things are drawn.
+    """
+    target.depth.fill(far)
     target.depth[:, width:] = np.inf
     target.ids.fill(EMPTY)
     target.farthest.fill(0.0)

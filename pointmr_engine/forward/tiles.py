@@ -16,7 +16,7 @@ from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, filter_tile
 from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
 from pointmr_engine.forward.scattered import add_empty, add_fragments, count_shown, divide
 from pointmr_engine.forward.shadow_map import ShadowMaps
-from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, gap_limits
+from pointmr_engine.forward.subpixels import allocate_target, beyond, clear, close_gaps, gap_limits
 from pointmr_engine.forward.walk import WAITING, Hierarchy, Scratch, walk
 from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.scene.group import CAMERA
@@ -86,7 +86,7 @@ class Workspace:
         x0, y0, x1, y1 = bounds
         self.left, self.low = (x0 - a) * s, (y0 - a) * s
         self.width, self.height = (x1 - x0 + 2 * a) * s, (y1 - y0 + 2 * a) * s
-        clear(self.target, self.width)
+        clear(self.target, self.width, beyond(self.image.view))
 
     def draw(self, bounds, hierarchy: Hierarchy) -> np.ndarray | None:
         """Walk for a tile x0, y0, x1, y1 of pixels; returns the nodes whose sets it misses, None if it is complete."""

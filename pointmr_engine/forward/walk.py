@@ -25,7 +25,7 @@ from pointmr_engine.forward.box_heap import (
 from pointmr_engine.forward.draw import Entries, draw_set, set_constants
 from pointmr_engine.forward.draw_triangles import draw_triangles
 from pointmr_engine.forward.projection import widest_distortion
-from pointmr_engine.forward.subpixels import Target, View, clear, mark_drawn
+from pointmr_engine.forward.subpixels import Target, View, beyond, clear, mark_drawn
 from pointmr_engine.forward.surfel_lanes import CONSTANTS, LANE_ROWS
 from pointmr_engine.forward.transforms import (
     allocate_transforms,
@@ -132,7 +132,7 @@ def walk(
         if status == DONE:
             return int(scratch.used[0])
         scratch.grow(status)
-        clear(scratch.target, bounds[2] - bounds[0])
+        clear(scratch.target, bounds[2] - bounds[0], beyond(view))
         scratch.counters[:] = before
 
 

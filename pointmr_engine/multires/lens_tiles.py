@@ -21,7 +21,14 @@ from pointmr_engine.forward.placement_values import (
     allocate_placement_values,
     combine_placements,
 )
-from pointmr_engine.forward.subpixels import allocate_target, clear, close_gaps, gap_limits, thresholds
+from pointmr_engine.forward.subpixels import (
+    allocate_target,
+    beyond,
+    clear,
+    close_gaps,
+    gap_limits,
+    thresholds,
+)
 from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import WAITING, Scratch, walk
 from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
@@ -113,7 +120,7 @@ class LensTiles(TracedTiles):
         self.open[:], self.sky[:] = 0, 0.0
         x, y, width, height = self.left // v, self.low // v, self.width // v, self.height // v
         for k, seen in enumerate(image.views):
-            clear(self.part, width)
+            clear(self.part, width, beyond(seen.view))
             self.part.pattern[:] = self.patterns[k]
             entries = walk(
                 seen.view, hierarchy, seen.camera_from_world, image.spacing / v, (x, y, x + width, y + height),

@@ -103,7 +103,7 @@ def connect(
     """Shadow rays for light samples 0..m of paths `rows`, those that could add anything; returns how many.
 
     even: the world has one radiance. Rays to it stand for those that lobes send, which Cycles has instead: these start
-    on the triangle, and above it where nothing is transmitted.
+    on the triangle, above it where nothing is transmitted, and meet what diffuse rays do.
     """
     n = np.int64(0)
     for i in range(m):
@@ -154,7 +154,7 @@ def connect(
         out.rays.t_min[n] = frames.offset[k]
         # a lamp without shadows is met by a ray that has no length
         out.rays.t_max[n] = lights.distance[i] * _SHORT if lights.cast_shadow[i] else 0.0
-        out.rays.visibility[n] = SHADOW
+        out.rays.visibility[n] = DIFFUSE if scattered else SHADOW
         out.rays.skip_triangle[n] = hits.triangle[k]
         out.rays.skip_path[n] = hits.path[k]
         out.raised[n] = not scattered
