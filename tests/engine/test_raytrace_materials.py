@@ -64,3 +64,23 @@ def test_chance_materials_are_as_bright_as_by_random_rays(seed):
         noise = np.hypot(a.std(0, ddof=1) / len(a) ** 0.5, 0.5 * np.abs(b[0] - b[1]))
         off = np.abs(a.mean(0) - b.mean(0))
         assert (off <= 0.04 * b.mean(0) + 3.0 * noise + 0.002).all(), (name, a.mean(0) / b.mean(0))
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.2, 0.5])
+@pytest.mark.parametrize("height", [0.3, 1.0])
+def test_edges_of_tinted_metal_are_as_dark_as_by_random_rays(roughness, height):
+    """The tint darkens metal at grazing angles, whether its lobes take rays or cones."""
+    metal = principled(
+        base_color=(0.8, 0.6, 0.3), metallic=1.0, roughness=roughness, specular_tint=(0.0, 0.0, 0.0)
+    )
+    scene = Scene(
+        Group("root", [quad(40.0, material=metal)]),
+        Camera(look((0, -3, height), (0, 0, 0))),
+        [],
+        uniform_world((1, 1, 1)),
+    )
+    cache = Cache()
+    exact, ours = (
+        image(scene, cache, method=method, samples=64)[14:20].mean() for method in ("distributed", "raytrace")
+    )
+    assert exact < 0.5 and ours == pytest.approx(exact, rel=0.1, abs=0.01)

@@ -9,6 +9,7 @@ from pointmr_engine import Group, Material, Scene, principled, uniform_world
 from pointmr_engine.multires.cone_light import sampled_lights
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, SHADOW, VISIBLE, instance
 from tests.engine.small_scenes import from_above, half_a_sky, quad
 from tests.engine.test_raytrace_light import DARK, card, image
 
@@ -61,3 +62,15 @@ def test_lights_are_gathered_once_more_only_where_some_are_left_to_chance():
         lights = sampled_lights(scene, compiled.sampler, compiled.lights)
         assert (lights is not compiled.lights) == again == (compiled.sampler.lights is not None)
         assert len(lights.arrays.emitters.path) == 2
+
+
+@pytest.mark.parametrize("method", ["distributed", "raytrace"])
+@pytest.mark.parametrize(("hidden", "blocks"), [(SHADOW, True), (DIFFUSE, False)])
+def test_a_world_of_one_colour_is_hidden_by_what_diffuse_rays_meet(method, hidden, blocks):
+    """Nobody samples such a world as a light, so that no shadow rays go there."""
+    black = principled(base_color=(0.0, 0.0, 0.0), specular_ior_level=0.0)
+    lid = instance(Group("lid", [quad(8.0, 0.5, black)]), visibility=VISIBLE & ~CAMERA & ~hidden)
+    world = uniform_world((1.0, 1.0, 1.0))
+    scene = Scene(Group("root", [quad(2.0, material=GREY)], [lid]), from_above(4.0), [], world)
+    light = image(scene, method=method, samples=64)[16:20, 22:26].mean()
+    assert light < 0.05 if blocks else light == pytest.approx(0.8, rel=0.01)

@@ -114,7 +114,7 @@ def _roughness(data, i, j):
 def albedo(kind, data, i, j, tables, cos_ni):
     """Estimated (reflected rgb, transmitted rgb) of a microfacet lobe without its weight."""
     reflected, transmitted, _ = fresnel(kind, data, i, j, tables.film, cos_ni)
-    if kind & THIN_FILM or not mean(reflected) > 0.0:
+    if kind & THIN_FILM or not (mean(reflected) > 0.0 or kind & FRESNEL_F82):
         return reflected, transmitted
     ior = np.float64(data[i, j, IOR])
     z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
@@ -126,7 +126,10 @@ def albedo(kind, data, i, j, tables, cos_ni):
     elif kind & FRESNEL_F82:
         s = lookup2(tables.schlick, ONLY, cos_ni, _roughness(data, i, j))
         f0, b = load3(data, i, j, F0), load3(data, i, j, TINT)
-        c = 1.0 - s**0.2  # as if all facets were met at one cosine
+        c = 1.0 - s**0.2  # as if all facets were met at one cosine ...
+        alpha, edge = _roughness(data, i, j) ** 2, 1.0 - cos_ni
+        # ... but at grazing angles, where a part of them is met at less than the edge's (a fit, to within a tenth)
+        b = scale(1.0 - 0.35 * edge * edge * edge * edge * alpha / max(alpha + 0.3 * cos_ni, 1e-6), b)
         reflected = (f82(c, f0[0], b[0]), f82(c, f0[1], b[1]), f82(c, f0[2], b[2]))
     elif kind & FRESNEL_DIELECTRIC and ior > 1.0:
         s = lookup3(tables.schlick_dielectric, ONLY, z, cos_ni, _roughness(data, i, j))
