@@ -1,9 +1,11 @@
 """Laid over Cycles: every feature scene and the real scenes, `distributed` against the reference, passed or not.
 
     python -m benchmarks.overlay [--scenes features real] [--method distributed] [--samples 256] [--no-write]
+    python -m benchmarks.overlay --method raytrace --samples 4 --real-samples 4
 
 A feature scene passes with a relative MSE under 0.002 and a mean FLIP under 0.03, a real scene with a mean FLIP under
-0.08. The relative MSE is that of one render, its noise included. Writes docs/benchmarks/overlay.md and contact sheets.
+0.08. The relative MSE is that of one render, its noise included. Samples of `raytrace` are cones. Writes
+docs/benchmarks/overlay.md and contact sheets, for other methods than `distributed` with its name in theirs.
 """
 
 from __future__ import annotations
@@ -135,7 +137,7 @@ def table(records: list[dict]) -> str:
 
 
 PREAMBLE = f"""\
-`{{method}}` at {{samples}} samples a pixel ({{real_samples}} on real scenes) against Cycles at {{reference_samples}}
+`{{method}}` at {{samples}} {{unit}} a pixel ({{real_samples}} on real scenes) against Cycles at {{reference_samples}}
 ({{real_reference_samples}}): same film, filter and bounces, no diffuse bounces; adaptive sampling, denoiser and
 clamping off.
 
@@ -143,6 +145,11 @@ relMSE = mean((I-R)^2/(R^2+0.01)) of one render, noise and all; noise is its var
 relMSE less the noise of render and reference, and scatters around zero. FLIP is its mean, LDR, 67 pixels per degree,
 Standard view. A feature scene passes below relMSE {MAX_REL_MSE} and FLIP {MAX_FLIP["feature"]}, a real scene below
 FLIP {MAX_FLIP["real"]}."""
+
+
+def page(method: str) -> str:
+    """Name of the page, and of its pictures, of a method."""
+    return "overlay" if method == "distributed" else f"overlay-{method}"
 
 
 def document(records: list[dict], command: str, options) -> str:
@@ -155,18 +162,18 @@ def document(records: list[dict], command: str, options) -> str:
         "",
         f"`{command}`",
         "",
-        PREAMBLE.format(**vars(options)),
+        PREAMBLE.format(**vars(options), unit="cones" if options.method == "raytrace" else "samples"),
     ]
     for kind, title in (("feature", "Feature scenes"), ("real", "Real scenes"), ("blend", "Files")):
         if kinds[kind]:
             passed = sum(r["passed"] for r in kinds[kind])
             lines += ["", f"## {title}: {passed} of {len(kinds[kind])} pass", "", table(kinds[kind])]
-            lines += ["", f"![{title}](overlay-{kind}.png)"]
+            lines += ["", f"![{title}]({page(options.method)}-{kind}.png)"]
     return "\n".join(lines) + "\n"
 
 
-def contact_sheets(records: list[dict], folder: Path) -> None:
-    """One PNG of all comparisons for each kind of scene."""
+def contact_sheets(records: list[dict], folder: Path, name: str) -> None:
+    """One PNG of all comparisons for each kind of scene, named `name` and the kind."""
     from PIL import Image
 
     kinds = defaultdict(list)
@@ -175,7 +182,7 @@ def contact_sheets(records: list[dict], folder: Path) -> None:
             sheet = Image.open(r["picture"]).convert("RGB")
             kinds[r["kind"]].append(sheet.resize((sheet.width // 2, sheet.height // 2), Image.LANCZOS))
     for kind, rows in kinds.items():
-        pictures.contact_sheet(rows, folder / f"overlay-{kind}.png", columns=2)
+        pictures.contact_sheet(rows, folder / f"{name}-{kind}.png", columns=2)
 
 
 def arguments(argv: list[str] | None = None):
@@ -212,9 +219,9 @@ def main(argv: list[str] | None = None) -> int:
     text = document(records, typed, options)
     folder = out if options.no_write else Path(options.docs)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "overlay.md").write_text(text)
+    (folder / f"{page(options.method)}.md").write_text(text)
     (out / "overlay.json").write_text(json.dumps({"command": typed, "records": records}, indent=1))
-    contact_sheets(records, folder)
+    contact_sheets(records, folder, page(options.method))
     failed = [r["scene"] for r in records if not r["passed"]]
     print(
         f"{len(records) - len(failed)} of {len(records)} pass"

@@ -17,7 +17,6 @@ from pointmr_engine.needs import Needs
 from pointmr_engine.numerics.rng import sobol_tables
 from pointmr_engine.raytracing import direct_light, paths, walk
 from pointmr_engine.raytracing.camera import CameraArrays, sample_rays, window_coordinates
-from pointmr_engine.raytracing.environment import ABOVE, UNIFORM
 from pointmr_engine.raytracing.light_sampling import LightSamples, allocate_light_samples
 from pointmr_engine.raytracing.lights import Lights
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits
@@ -84,6 +83,7 @@ class Workspace:
             self.shadow_hits = allocate_hits(n)
             self.waiting = np.zeros(n, np.int32)
             self.triangle = np.zeros((4, 3)), np.zeros((4, 3))
+            self.even = stage.lights is not None and stage.lights.even_world
             self.raises = bool(stage.shader.geometry.tables.terminator_offset.any())
         if stage.needs.transparent_shadows and stage.needs.light_samples:
             self.shadow_frames = allocate_frames(n)
@@ -198,7 +198,7 @@ class Workspace:
     def connect(self, now, m: int, chosen: LightSamples) -> int:
         return direct_light.connect(
             now, self.hits, self.frames, self.lobes, self.stage.limits, chosen, self.lit_rows, m,
-            self.stage.lights.arrays.world.mode in (UNIFORM, ABOVE), self.shadows,
+            self.even, self.shadows,
         )  # fmt: skip
 
     def raise_origins(self, count: int) -> None:

@@ -112,6 +112,11 @@ class Lights:
             return self
         return self._with(a._replace(world=a.world._replace(mode=ABOVE)), self.turns)
 
+    @property
+    def even_world(self) -> bool:
+        """Whether the world has one radiance, and is sampled."""
+        return self.arrays.world.mode in (UNIFORM, ABOVE)
+
     def taken(self, times: int) -> Lights:
         """The same lights, one of all of which is chosen several times."""
         return self._with(self.arrays, [None] * times)
