@@ -206,11 +206,7 @@ def fill_fragments(
             last = e
             triangle_to_camera(m, row, all_corners, i, corners)
             nx, ny, nz = _plane_normal(all_corners, i, normals, row)
-        dx, dy = ray_through(view, left + fragments.x[k], low + fragments.y[k])
-        u, v = meet_plane(view, corners, dx, dy)
-        u, v = max(u, 0.0), max(v, 0.0)
-        if u + v > 1.0:
-            u, v = u / (u + v), v / (u + v)
+        u, v = place_seen(view, corners, left + fragments.x[k], low + fragments.y[k])
         fragments.part[k] = part
         fragments.triangle[k] = triangle
         fragments.place[k, 0], fragments.place[k, 1] = u, v
@@ -237,6 +233,17 @@ def fill_look(parts, looks, normals, row, part, triangle, u, v, fragments, k):
     x, y, z = interpolated_normal(parts, part, triangle, u, v)
     x, y, z = _carry_normal(normals, row, x, y, z)
     fragments.normal[k, 0], fragments.normal[k, 1], fragments.normal[k, 2] = x, y, z
+
+
+@device
+def place_seen(view, corners, x, y):
+    """Barycentric weights of vertices 1 and 2 of what a point of the image, in subpixels, shows of a triangle."""
+    dx, dy = ray_through(view, x, y)
+    u, v = meet_plane(view, corners, dx, dy)
+    u, v = max(u, 0.0), max(v, 0.0)
+    if u + v > 1.0:
+        u, v = u / (u + v), v / (u + v)
+    return u, v
 
 
 @device

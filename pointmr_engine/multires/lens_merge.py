@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.fragments import Fragments
+from pointmr_engine.forward.draw import triangle_to_camera
+from pointmr_engine.forward.fragments import Fragments, place_seen
 from pointmr_engine.forward.pixel_filter import Slopes
 from pointmr_engine.multires.merge import copy_fragment, join, mergeable, unit_normal
 from pointmr_engine.numerics.jit import device, uncounted
@@ -85,6 +86,24 @@ def merge_views(
     for n in range(groups):
         unit_normal(f, kept[n])
     return groups
+
+
+@uncounted
+def place_merged(
+    view, left, low, all_corners, transforms, surfel, key, fragments: Fragments, count, corners
+):  # fmt: skip
+    """Put triangles' fragments 0..count that views share where the lens' centre sees them: there they are shaded.
+
+    They have the place of their largest part, which is one view's, and not in the middle of what all of them show.
+    surfel (E,) int64: of Entries; left, low: of the tile; corners (3, 3) float64 to work in; others: fill_fragments.
+    """
+    f = fragments
+    for k in range(count):
+        s = surfel[f.entry[k]]
+        if s >= 0 or key[k] >> VIEW != 0:
+            continue
+        triangle_to_camera(transforms.matrix, np.int64(f.row[k]), all_corners, (-1 - s) >> 1, corners)
+        f.place[k, 0], f.place[k, 1] = place_seen(view, corners, left + f.x[k], low + f.y[k])
 
 
 @uncounted

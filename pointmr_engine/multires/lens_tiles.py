@@ -32,7 +32,7 @@ from pointmr_engine.forward.subpixels import (
 from pointmr_engine.forward.transforms import grow_transforms
 from pointmr_engine.forward.walk import WAITING, Scratch, walk
 from pointmr_engine.multires.lens import LensView, confusion, lens_rays, make_views, sharpest, views_per_side
-from pointmr_engine.multires.lens_merge import MIXED, ROW, VIEW, light_where_seen, merge_views
+from pointmr_engine.multires.lens_merge import MIXED, ROW, VIEW, light_where_seen, merge_views, place_merged
 from pointmr_engine.multires.looks import look_through_lens
 from pointmr_engine.multires.merge import choose_seen, renumber
 from pointmr_engine.multires.method import TracedTiles
@@ -251,6 +251,10 @@ class LensTiles(TracedTiles):
         chosen = self.kept[:count]
         for old, new in zip(f, self.fragments, strict=True):
             new[:count] = old[chosen]
+        place_merged(
+            view, np.int64(self.left), np.int64(self.low), hierarchy.corners, self.scratch.transforms,
+            self.scratch.entries.surfel, self.key, self.fragments, np.int64(count), self.corners,
+        )  # fmt: skip
         points = np.array([(0.0, 0.0), *((v.x, v.y) for v in image.views)])
         self.eyes = points[self.key >> VIEW]
         return count

@@ -9,7 +9,19 @@ import pytest
 from benchmarks.closed_forms.__main__ import image_of
 from benchmarks.closed_forms.cases import all_cases
 from benchmarks.closed_forms.stage import glow, mirror, rectangle
-from pointmr_engine import Group, Light, Mesh, RenderSettings, Scene, principled, render, uniform_world
+from benchmarks.forward.scenes import look
+from pointmr_engine import (
+    Camera,
+    Group,
+    Light,
+    Material,
+    Mesh,
+    RenderSettings,
+    Scene,
+    principled,
+    render,
+    uniform_world,
+)
 from pointmr_engine.forward.subpixels import make_view
 from pointmr_engine.multires.lens import (
     confusion,
@@ -22,6 +34,7 @@ from pointmr_engine.multires.lens import (
 from pointmr_engine.multires.looks import look_through_lens
 from pointmr_engine.raytracing.camera import compile_camera
 from pointmr_engine.raytracing.rays import allocate_rays
+from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.settings import RaytraceSettings
 from pointmr_engine.shading.program import compile_graph
 from tests.engine.small_scenes import at, from_above, lit_floor, quad
@@ -251,3 +264,29 @@ def test_sharp_reflections_are_not_shared_between_views():
         principled("smooth", roughness=0.0),
     ]
     assert sharpest([compile_graph(m.graph) for m in materials]) == pytest.approx([0.25, 0.01, 0.0, math.inf])
+
+
+def waves(axis: str) -> Material:
+    """Emission that is a slow sine along an axis of the world."""
+    nodes = {
+        "place": Node("geometry"),
+        "axes": Node("separate_xyz", {"vector": Link("place", "position")}),
+        "slow": Node("math", {"value": Link("axes", axis), "value_b": 0.5}, {"operation": "MULTIPLY"}),
+        "sine": Node("math", {"value": Link("slow", "value")}, {"operation": "SINE"}),
+        "light": Node("math", {"value": Link("sine", "value"), "value_b": 2.0}, {"operation": "ADD"}),
+        "glow": Node("emission", {"strength": Link("light", "value")}),
+    }
+    return Material("waves", Graph(nodes, surface=Link("glow", "emission")))
+
+
+@pytest.mark.parametrize("fstop", [1.0, 0.2])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_what_views_share_lies_where_they_see_it(axis, fstop):
+    """Textures were a sixth of a pixel off: shaded at the place of one view, and shown in the middle of all."""
+    camera = Camera(look((0, -6, 4), (0, 0, 0)), fstop=fstop, focus_distance=5.0)
+    scene = Scene(Group("root", [quad(60.0, material=waves(axis))]), camera, [], uniform_world((0, 0, 0)))
+    exact, ours = (
+        render(scene, RenderSettings(64, 48, method=method, samples=256)).passes["combined"][4:-10, 4:-4, 0]
+        for method in ("distributed", "raytrace")
+    )
+    assert np.sqrt(np.mean((ours - exact) ** 2)) < 0.001
