@@ -26,7 +26,6 @@ from pointmr_engine.multires.merge import choose_seen, merge_fragments, renumber
 from pointmr_engine.multires.opacity_micromap import with_micromap
 from pointmr_engine.multires.representatives import bring_forward, choose_representatives, lend_light
 from pointmr_engine.multires.slopes import COLUMNS, find_slopes
-from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -72,11 +71,8 @@ class TracedImage(Image):
         self.cone = self.subpixels // side  # subpixels per side of a cone
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.hardly = 0.0
-        materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
         # of materials, and of none
-        self.shining = np.array(
-            [*(sampled_sides(m, p, every=True) != 0 for m, p in materials), False], np.bool_
-        )
+        self.shining = stage.lights.shining(len(sampler.geometry.materials) + 1)
         self.tile = max(WIDTH // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
         self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough

@@ -18,6 +18,7 @@ from pointmr_engine.scene.material import Material
 
 FRONT, BACK = 1, 2
 MOST_EMITTERS = 1 << 20
+MOST_LEFT = 1 << 14  # triangles that are left to chance and may be sampled nevertheless: lamps, and not haze
 _WEAK = 0.5  # emission below this is left to chance, as in Cycles: not worth a light sample
 _MOST_PROBED = 1 << 16  # triangles whose varying emission is estimated by evaluating it
 _SIDES = {"FRONT": FRONT, "BACK": BACK, "FRONT_BACK": FRONT | BACK, "NONE": 0}
@@ -80,12 +81,12 @@ def sampled_sides(material: Material | None, program, every: bool = False) -> in
     if material is None or not program.emissive:
         return 0
     constant = program.constant_emission
-    if constant is not None and not np.any(constant):
+    strength = estimate_emission(material.graph) if constant is None else float(np.abs(constant).max())
+    if strength == 0.0:
         return 0
     if every:
         return FRONT | BACK
     if material.emission_sampling == "AUTO":
-        strength = estimate_emission(material.graph) if constant is None else float(np.abs(constant).max())
         return FRONT | BACK if strength > _WEAK else 0
     return _SIDES.get(material.emission_sampling, FRONT | BACK)
 
@@ -97,9 +98,9 @@ def find_emitters(
 
     Returns them, the material of each (E,) int32, where they were found, and warnings.
     programs: one Program per geometry.materials. Beyond the limit emission is still seen by rays that meet it.
-    every: all that shines, not only what its material wants sampled.
+    every: all that shines, not only what its material wants sampled, but for what has too many triangles (MOST_LEFT).
     """
-    sides = [sampled_sides(m, p, every) for m, p in zip(geometry.materials, programs, strict=True)]
+    sides = _sides(geometry, programs, every)
     local = {}
     if any(sides):
         for part in range(len(geometry.parts)):
@@ -131,6 +132,22 @@ def find_emitters(
     return *_pack(blocks, varying), places, warnings
 
 
+def _sides(geometry: Geometry, programs: list, every: bool) -> list[int]:
+    """FRONT and BACK bits of each material that are sampled."""
+    wanted, all_ = (
+        [sampled_sides(m, p, e) for m, p in zip(geometry.materials, programs, strict=True)]
+        for e in (False, True)
+    )
+    left = np.array([a != w for a, w in zip(all_, wanted, strict=True)], np.bool_)
+    if not every or not left.any():
+        return wanted
+    counts = np.zeros(len(geometry.parts), np.int64)
+    for part in range(len(geometry.parts)):
+        counts[part] = left[_materials(geometry, part)].sum()
+    places = placements(geometry, counts > 0, MOST_LEFT + 1)
+    return all_ if counts[places.part].sum() <= MOST_LEFT else wanted
+
+
 class _PartEmitters(NamedTuple):
     """Emissive triangles of one part, in its own space."""
 
@@ -142,17 +159,9 @@ class _PartEmitters(NamedTuple):
 
 
 def _part_emitters(geometry: Geometry, part: int, sides: np.ndarray) -> _PartEmitters | None:
-    tables = geometry.tables
-    first, count = int(tables.first_slot[part]), int(tables.slots[part])
-    slots = np.asarray(tables.slot_material[first : first + count])
-    if not sides[slots].any():
+    if not sides[_slots(geometry, part)].any():
         return None
-    mesh, shape = geometry.parts[part], geometry.shapes[int(tables.shape[part])]
-    n = len(shape.triangles)
-    if mesh.material_index is None:
-        material = np.full(n, slots[0], np.int32)
-    else:
-        material = slots[np.clip(mesh.material_index, 0, count - 1)].astype(np.int32)
+    shape, material = geometry.shapes[int(geometry.tables.shape[part])], _materials(geometry, part)
     chosen = np.flatnonzero(sides[material] > 0)
     vertices = shape.positions[shape.triangles[chosen]].astype(np.float64) + shape.center
     cross = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
@@ -165,6 +174,21 @@ def _part_emitters(geometry: Geometry, part: int, sides: np.ndarray) -> _PartEmi
     outside = _outside(shape.positions, shape.triangles)
     triangles = (chosen + shape.first_triangle).astype(np.int32)
     return _PartEmitters(triangles, vertices, sides[material[chosen]], material[chosen], outside)
+
+
+def _slots(geometry: Geometry, part: int) -> np.ndarray:
+    """The materials of a part's slots."""
+    tables = geometry.tables
+    first = int(tables.first_slot[part])
+    return np.asarray(tables.slot_material[first : first + int(tables.slots[part])])
+
+
+def _materials(geometry: Geometry, part: int) -> np.ndarray:
+    """(n,) int32: the material of each of a part's triangles."""
+    mesh, slots = geometry.parts[part], _slots(geometry, part)
+    if mesh.material_index is None:
+        return np.full(len(geometry.shapes[int(geometry.tables.shape[part])].triangles), slots[0], np.int32)
+    return slots[np.clip(mesh.material_index, 0, len(slots) - 1)].astype(np.int32)
 
 
 def _outside(positions: np.ndarray, triangles: np.ndarray) -> float:

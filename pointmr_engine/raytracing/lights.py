@@ -112,6 +112,10 @@ class Lights:
             return self
         return self._with(a._replace(world=a.world._replace(mode=ABOVE)), self.turns)
 
+    def shining(self, materials: int) -> np.ndarray:
+        """(materials,) bool: which of the materials 0.. are sampled as lights."""
+        return np.isin(np.arange(materials), self._materials)
+
     @property
     def even_world(self) -> bool:
         """Whether the world has one radiance, and is sampled."""

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointmr_engine import Group, Material, Scene, principled, uniform_world
+from pointmr_engine import Group, Material, Mesh, Scene, principled, uniform_world
+from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.multires.cone_light import sampled_lights
+from pointmr_engine.raytracing.emitters import find_emitters
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, SHADOW, VISIBLE, instance
+from pointmr_engine.shading.program import compile_graph
 from tests.engine.small_scenes import from_above, half_a_sky, quad
 from tests.engine.test_raytrace_light import DARK, card, image
 
@@ -26,6 +29,18 @@ def wall_and_floor(strength: float, sampling: str, turned: bool = False) -> Scen
     corners = [(-1, 1, 0.1), (1, 1, 0.1), (1, 1, 2), (-1, 1, 2)]
     wall = card("wall", corners[::-1] if turned else corners, shining(strength, sampling))
     return Scene(Group("root", [quad(2.0, material=GREY), wall]), from_above(5.0), [], DARK)
+
+
+def grid(side: int, material: Material) -> Mesh:
+    """A square of side x side cells, two triangles each."""
+    y, x = np.mgrid[0 : side + 1, 0 : side + 1].astype(np.float32) / side - 0.5
+    corner = np.arange(side)[None, :] + (side + 1) * np.arange(side)[:, None]
+    a, b, c, d = corner, corner + 1, corner + side + 2, corner + side + 1
+    triangles = (
+        np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2).reshape(-1, 3).astype(np.int32)
+    )
+    positions = np.stack([x, y, np.full_like(x, 3.0)], -1).reshape(-1, 3)
+    return Mesh("grid", positions, triangles, materials=(material,))
 
 
 @pytest.mark.parametrize("world", [uniform_world((0.5, 0.7, 1.0)), half_a_sky()])
@@ -52,6 +67,17 @@ def test_emission_that_is_left_to_chance_lights_as_much(strength, sampling, turn
 def test_sides_that_are_not_sampled_light_as_much(turned):
     ours, both = (image(wall_and_floor(5.0, s, turned), cones=4)[:24].mean() for s in ("FRONT", "FRONT_BACK"))
     assert ours == pytest.approx(both, rel=0.03) and both > 0.05
+
+
+def test_haze_is_no_light():
+    """What glows faintly and is everywhere would make a light of every leaf; what has few triangles may be a lamp."""
+    for side, found in ((64, 2 * 64**2), (128, 0)):
+        wall = grid(side, shining(0.1, "NONE"))
+        scene = Scene(Group("root", [quad(2.0, material=GREY), wall]), from_above(5.0), [], DARK)
+        geometry = compile_geometry(scene)
+        programs = [compile_graph(m.graph) for m in geometry.materials]
+        assert len(find_emitters(geometry, programs, every=True)[0].path) == found
+        assert len(find_emitters(geometry, programs)[0].path) == 0
 
 
 def test_lights_are_gathered_once_more_only_where_some_are_left_to_chance():
