@@ -20,6 +20,7 @@ FRONT, BACK = 1, 2
 MOST_EMITTERS = 1 << 20
 MOST_LEFT = 1 << 14  # triangles that are left to chance and may be sampled nevertheless: lamps, and not haze
 _WEAK = 0.5  # emission below this is left to chance, as in Cycles: not worth a light sample
+_FAINT = 0.1  # and below this always: a glow, whose samples near it would be missing where they bring light
 _MOST_PROBED = 1 << 16  # triangles whose varying emission is estimated by evaluating it
 _SIDES = {"FRONT": FRONT, "BACK": BACK, "FRONT_BACK": FRONT | BACK, "NONE": 0}
 
@@ -77,14 +78,14 @@ def estimate_emission(graph: Graph) -> float:
 
 
 def sampled_sides(material: Material | None, program, every: bool = False) -> int:
-    """Which sides of a material's surfaces are sampled as lights: FRONT and BACK bits; `every`: both that shine."""
+    """Which sides of a material's surfaces are sampled as lights: FRONT and BACK bits; `every`: both, if not faint."""
     if material is None or not program.emissive:
         return 0
     constant = program.constant_emission
     strength = estimate_emission(material.graph) if constant is None else float(np.abs(constant).max())
     if strength == 0.0:
         return 0
-    if every:
+    if every and strength > _FAINT:
         return FRONT | BACK
     if material.emission_sampling == "AUTO":
         return FRONT | BACK if strength > _WEAK else 0

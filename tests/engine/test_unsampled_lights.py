@@ -72,12 +72,21 @@ def test_sides_that_are_not_sampled_light_as_much(turned):
 def test_haze_is_no_light():
     """What glows faintly and is everywhere would make a light of every leaf; what has few triangles may be a lamp."""
     for side, found in ((64, 2 * 64**2), (128, 0)):
-        wall = grid(side, shining(0.1, "NONE"))
+        wall = grid(side, shining(0.2, "NONE"))
         scene = Scene(Group("root", [quad(2.0, material=GREY), wall]), from_above(5.0), [], DARK)
         geometry = compile_geometry(scene)
         programs = [compile_graph(m.graph) for m in geometry.materials]
         assert len(find_emitters(geometry, programs, every=True)[0].path) == found
         assert len(find_emitters(geometry, programs)[0].path) == 0
+
+
+@pytest.mark.parametrize("sampling", ["AUTO", "NONE"])
+def test_a_glow_is_no_light(sampling):
+    """Wax that glows by a few hundredths took most of the samples on itself from the flame above it."""
+    scene = wall_and_floor(0.05, sampling)
+    geometry = compile_geometry(scene)
+    programs = [compile_graph(m.graph) for m in geometry.materials]
+    assert len(find_emitters(geometry, programs, every=True)[0].path) == 0
 
 
 def test_lights_are_gathered_once_more_only_where_some_are_left_to_chance():
