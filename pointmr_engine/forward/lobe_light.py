@@ -299,15 +299,10 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
                 b += w[2] * e[2]
                 continue
             cosine = dot(n, wi)
-            rough = 0.0
-            if base == ASHIKHMIN_SHIRLEY:
-                reflected, transmitted = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-                rough = 0.3
-            else:
+            rough = math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+            reflected, transmitted = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+            if base != ASHIKHMIN_SHIRLEY:
                 reflected, transmitted = albedo(kind, lobes.data, np.int64(k), np.int64(j), tables, cosine)
-                rough = math.sqrt(
-                    np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y])
-                )
             share = 1.0
             if base != ASHIKHMIN_SHIRLEY:
                 share = single_scattering(kind, lobes.data, np.int64(k), np.int64(j), tables, cosine)

@@ -12,7 +12,6 @@ from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
-    ASHIKHMIN_SHIRLEY,
     BECKMANN,
     GLASS,
     HAS_EVALUATION,
@@ -35,8 +34,6 @@ OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks
 @device
 def mean_roughness(lobes, k, j):
     """Mean roughness of lobe j of point k."""
-    if lobes.kind[k, j] & KIND_MASK == ASHIKHMIN_SHIRLEY:
-        return 0.3
     return math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
 
 

@@ -9,7 +9,8 @@ from benchmarks.closed_forms import curved_mirror
 from benchmarks.forward.scenes import look
 from pointmr_engine import Camera, Group, Light, Material, Scene, principled, uniform_world
 from pointmr_engine.render import Cache
-from tests.engine.small_scenes import quad
+from pointmr_engine.scene.graph import Graph, Link, Node
+from tests.engine.small_scenes import half_a_sky, quad
 from tests.engine.test_raytrace_light import DARK, card, image
 
 # in images of 48 x 36, bottom row first
@@ -84,3 +85,13 @@ def test_edges_of_tinted_metal_are_as_dark_as_by_random_rays(roughness, height):
         image(scene, cache, method=method, samples=64)[14:20].mean() for method in ("distributed", "raytrace")
     )
     assert exact < 0.5 and ours == pytest.approx(exact, rel=0.1, abs=0.01)
+
+
+def test_ashikhmin_and_shirleys_gloss_is_as_rough_as_it_says():
+    """Its lobes were all taken for 0.3."""
+    inputs = {"color": (0.8, 0.8, 0.8), "roughness": 0.1}
+    nodes = {"gloss": Node("glossy", inputs, {"distribution": "ashikhmin_shirley"})}
+    floor = quad(40.0, material=Material("gloss", Graph(nodes, surface=Link("gloss", "bsdf"))))
+    scene = Scene(Group("root", [floor]), Camera(look((0, -3, 2), (0, 0, 0))), [], half_a_sky())
+    exact, ours = (image(scene, Cache(), method=m, samples=256) for m in ("distributed", "raytrace"))
+    assert exact.std() > 0.1 and np.abs(ours - exact).mean() < 0.04
