@@ -92,11 +92,10 @@ class ConeLight:
 
 
 def sampled_lights(scene, sampler, lights):
-    """The scene's `lights`, but with all that shines among what is sampled, as cones need it; kept in the sampler."""
+    """The scene's `lights`, with what is left to chance among what is sampled, as cones need it. Kept."""
     materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
-    if not lights.only_met and all(
-        sampled_sides(m, p) == sampled_sides(m, p, every=True) for m, p in materials
-    ):
+    same = all(sampled_sides(m, p) == sampled_sides(m, p, every=True) for m, p in materials)
+    if same and not lights.environment.unsampled:
         return lights
     if sampler.lights is None:
         sampler.lights = build_lights(scene, sampler.geometry, sampler.programs, every=True)

@@ -139,19 +139,17 @@ class WideLamps(SharingPaths):
         )  # fmt: skip
         self.counters["lamp_cones"] += m
         through = rows[:0]
-        if m:
-            self.light.blocked(self.cones, m, masks)
-        if m and self.passes:
+        if not m:
+            return through
+        self.light.blocked(self.cones, m, masks)
+        if self.passes:
             met = np.flatnonzero(masks[:m])
             m, everything = len(met), masks[met]
             for a in (*self.cones, self.terms, rows):
                 a[:m] = a[met]
             self.light.blocked(self.cones, m, masks, solid=True)
             through = rows[:m][masks[:m] != everything].copy()
-        if m:
-            take_shares(
-                masks, lamps.shape[i], self.cones, self.terms, self.behind_lit, rows, np.int64(m), share
-            )
+        take_shares(masks, lamps.shape[i], self.cones, self.terms, self.behind_lit, rows, np.int64(m), share)
         share[through] = 0.0
         return through
 

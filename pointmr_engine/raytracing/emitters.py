@@ -135,16 +135,18 @@ def find_emitters(
 
 def _sides(geometry: Geometry, programs: list, every: bool) -> list[int]:
     """FRONT and BACK bits of each material that are sampled."""
-    wanted, all_ = (
-        [sampled_sides(m, p, e) for m, p in zip(geometry.materials, programs, strict=True)]
-        for e in (False, True)
-    )
+    materials = list(zip(geometry.materials, programs, strict=True))
+    wanted = [sampled_sides(m, p) for m, p in materials]
+    if not every:
+        return wanted
+    all_ = [sampled_sides(m, p, every=True) for m, p in materials]
     left = np.array([a != w for a, w in zip(all_, wanted, strict=True)], np.bool_)
-    if not every or not left.any():
+    if not left.any():
         return wanted
     counts = np.zeros(len(geometry.parts), np.int64)
     for part in range(len(geometry.parts)):
-        counts[part] = left[_materials(geometry, part)].sum()
+        if left[_slots(geometry, part)].any():
+            counts[part] = left[_materials(geometry, part)].sum()
     places = placements(geometry, counts > 0, MOST_LEFT + 1)
     return all_ if counts[places.part].sum() <= MOST_LEFT else wanted
 

@@ -60,6 +60,11 @@ class Environment:
         width = world.map_resolution if world.sampling == "MANUAL" else _image_width(world)
         self.map = _build_map(self.program, min(max(int(width), 4), _LARGEST_MAP), _find_sun(world))
 
+    @property
+    def unsampled(self) -> bool:
+        """Whether it shines, but only rays that a BSDF chose can find it."""
+        return self.map.mode == OFF and not self.black
+
     def uniform(self, visibility: int = 0) -> np.ndarray | None:
         """(3,) float32: the radiance where all directions have the same, else None; visibility as for `radiance`."""
         if self.black or (visibility and not visibility & self.visibility):

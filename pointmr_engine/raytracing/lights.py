@@ -15,7 +15,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements
 from pointmr_engine.raytracing import light_sampling as kernels
 from pointmr_engine.raytracing.emitters import find_emitters, sampled_sides
-from pointmr_engine.raytracing.environment import ABOVE, OFF, UNIFORM, Environment
+from pointmr_engine.raytracing.environment import ABOVE, UNIFORM, Environment
 from pointmr_engine.raytracing.lamps import DISTANT, POINT, compile_lamps
 from pointmr_engine.raytracing.light_sampling import (
     LAMP,
@@ -284,8 +284,8 @@ def build_lights(
     """Compile the lights of `scene`.
 
     geometry: hierarchy.geometry.Geometry; programs: the materials' Programs in the order of geometry.materials.
-    every: for methods whose diffuse surfaces send no rays that could meet a light by chance: all that shines is
-    sampled, faint emission, the backs of surfaces, and a world that wants to be left to chance, too.
+    every: for methods whose diffuse surfaces send no rays that could meet a light by chance: what is left to chance is
+    sampled, too, a world, backs of surfaces, weak emission, but for glows and haze (emitters.find_emitters).
     """
     lamps, warnings = compile_lamps(scene.lights)
     emitters, material, places, more = find_emitters(geometry, programs, every)
@@ -308,5 +308,5 @@ def build_lights(
         m is not None and p.emissive and not sampled_sides(m, p, every)
         for m, p in zip(geometry.materials, programs, strict=True)
     ]
-    only_met = any(dark) or bool(more) or (environment.map.mode == OFF and not environment.black)
+    only_met = any(dark) or bool(more) or environment.unsampled
     return Lights(arrays, environment, geometry, places, programs, material, only_met, warnings)
