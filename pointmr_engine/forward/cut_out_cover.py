@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 
+from pointmr_engine.forward.opacity_lattice import sample_place
 from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 
 OPAQUE = 192  # of 255: from here on a sample counts as opaque
+SURE = 0.75  # of a cell's opacity: a place in it that is less opaque lies in a hole between the samples
 NARROW = np.float32(0.05)  # of a pixel: footprints of looks at triangles with holes
 
 
@@ -23,11 +25,16 @@ def cut_out_of(cut_outs, part, triangle):
 
 
 @device
+def cell_of(u, v, side):
+    """(p, q): the cell of barycentric weights u, v of vertices 1 and 2."""
+    p = min(max(np.int64(u * side), np.int64(0)), side - 1)
+    return p, min(max(np.int64(v * side), np.int64(0)), side - 1)
+
+
+@device
 def opacity_at(cut_outs, mask, u, v):
     """Opacity, of 255, at barycentric weights u and v of vertices 1 and 2."""
-    side = cut_outs.opacity.shape[1]
-    p = min(max(np.int64(u * side), np.int64(0)), side - 1)
-    q = min(max(np.int64(v * side), np.int64(0)), side - 1)
+    p, q = cell_of(u, v, cut_outs.opacity.shape[1])
     return np.float64(cut_outs.opacity[mask, q, p])
 
 
@@ -83,8 +90,7 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
             u, v = b1, b2
             if perspective:
                 u, v = b1 * w[1] / nearness, b2 * w[2] / nearness
-            p = min(max(np.int64(u * side), np.int64(0)), side - 1)
-            q = min(max(np.int64(v * side), np.int64(0)), side - 1)
+            p, q = cell_of(u, v, side)
             if opacity[mask, q, p] > 255.0 * target.pattern[row + ((j ^ turn_y) & 7), (i ^ turn_x) & 7]:
                 target.depth[j, i] = nearness
                 target.ids[j, i] = entry
@@ -94,10 +100,8 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
 
 @uncounted
 def move_to_opaque(cut_outs, fragments, first, count):
-    """Look at fragments first..first + count, where their place lies in a hole, at the nearest point that is opaque.
-
-    What is visible of them is opaque; a hole's colour is anybody's guess. Where nothing is opaque, the nearest of the
-    least transparent points. fragments: Fragments; changes `place`.
+    """Move the places of fragments first..first + count, where their cells are clear, to the sample of the nearest cell
+    that is opaque; where none is, of the nearest of the least transparent ones. fragments: Fragments.
     """
     side = cut_outs.opacity.shape[1]
     for k in range(first, first + count):
@@ -118,8 +122,32 @@ def move_to_opaque(cut_outs, fragments, first, count):
                     if opacity > most or d < best:
                         most, best, bi, bj = opacity, d, p, q
         if best < math.inf:
-            fragments.place[k, 0] = (bi + 1.0 / 3.0) / side
-            fragments.place[k, 1] = (bj + 1.0 / 3.0) / side
+            fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, bi, bj, side)
+
+
+@uncounted
+def with_holes(cut_outs, fragments, first, count, out):
+    """Write those of the fragments first..first + count that are of triangles with holes to out (count,); how many."""
+    n = np.int64(0)
+    for k in range(first, first + count):
+        if cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k])) >= 0:
+            out[n] = k
+            n += 1
+    return n
+
+
+@uncounted
+def move_to_samples(cut_outs, fragments, rows, opacity):
+    """Move the places of the fragments `rows` (n,) int64 to the samples of their cells, where they are much less opaque
+    than these: opacity (n,) at the places, 0..1."""
+    side = cut_outs.opacity.shape[1]
+    for n in range(len(rows)):
+        k = rows[n]
+        mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
+        u, v = np.float64(fragments.place[k, 0]), np.float64(fragments.place[k, 1])
+        if opacity[n] * 255.0 < SURE * opacity_at(cut_outs, mask, u, v):
+            p, q = cell_of(u, v, side)
+            fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
 
 
 @uncounted
@@ -130,3 +158,15 @@ def narrow_looks(cut_outs, fragments, first, count, width):
         part, triangle = np.int64(fragments.part[first + k]), np.int64(fragments.triangle[first + k])
         if cut_out_of(cut_outs, part, triangle) >= 0:
             width[k] *= NARROW
+
+
+@uncounted
+def let_through(cut_outs, fragments, first, count, out):
+    """out (N,) float32: the share that coverage lets through at the places of fragments first..first + count."""
+    for k in range(count):
+        f = first + k
+        mask = cut_out_of(cut_outs, np.int64(fragments.part[f]), np.int64(fragments.triangle[f]))
+        out[k] = 0.0
+        if mask >= 0:
+            u, v = np.float64(fragments.place[f, 0]), np.float64(fragments.place[f, 1])
+            out[k] = 1.0 - opacity_at(cut_outs, mask, u, v) / 255.0

@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.forward.baking import materials_of
-from pointmr_engine.forward.cut_out_cover import cut_out_of  # noqa: F401
+from pointmr_engine.forward.cut_out_cover import cut_out_of, move_to_opaque, move_to_samples, with_holes  # noqa: F401
 from pointmr_engine.forward.draw import draw_triangle, to_target
-from pointmr_engine.forward.opacity_classes import lattice, opacity_classes
+from pointmr_engine.forward.opacity_classes import opacity_classes
+from pointmr_engine.forward.opacity_lattice import lattice
 from pointmr_engine.forward.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import device
@@ -75,7 +76,7 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
         step = max(1, _CHUNK // (side * side))
         for start in range(0, len(triangles), step):
             chosen = triangles[start : start + step]
-            u, v = lattice(side, len(chosen))
+            u, v = lattice(side, at + np.arange(len(chosen)))
             found = opacity_of(np.repeat(chosen, side * side), u.ravel(), v.ravel())
             found = np.round(found * 255.0).astype(np.uint8).reshape(len(chosen), side, side, 2)
             opacity[:, at : at + len(chosen)] = np.moveaxis(found, -1, 0)
@@ -101,16 +102,50 @@ def _opacity(
 
 
 def part_transparency(
-    geometry: Geometry, program, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+    geometry: Geometry, program, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
 ) -> np.ndarray:
-    """(n, 3) share of light that passes points of a part's triangles (n,), in the part's own space."""
+    """(n, 3) share of light that passes points of parts' triangles (n,), in the part's own space."""
     n = len(triangles)
+    whole = (geometry.tables.first_triangle[part] + triangles).astype(np.int32)
     points = points_at(
-        geometry, np.full(n, part, np.int32), (geometry.tables.first_triangle[part] + triangles).astype(np.int32),
+        geometry, np.broadcast_to(np.int32(part), n), whole,
         u.astype(np.float32), v.astype(np.float32), np.broadcast_to(np.eye(4)[:3], (n, 3, 4)),
         program.transparency_needs,
     )  # fmt: skip
     return program.transparency(points)
+
+
+def look_where_opaque(
+    geometry: Geometry, programs: list, cut_outs: CutOuts, densest: bool, fragments, first: int, count: int
+) -> None:
+    """Move the places at which fragments first..first + count are shaded out of holes. fragments: Fragments; changes
+    `place`. densest: the cut-outs are those of the channel that is blocked most.
+
+    What is visible of a fragment is opaque; a hole's colour is anybody's guess. Cells of the cut-outs that are opaque
+    at their samples may have holes elsewhere: who is found in one goes to the cell's sample.
+    """
+    first_, count_ = np.int64(first), np.int64(count)
+    move_to_opaque(cut_outs, fragments, first_, count_)
+    rows = np.empty(count, np.int64)
+    rows = rows[: with_holes(cut_outs, fragments, first_, count_, rows)]
+    part, triangle = fragments.part[rows], fragments.triangle[rows]
+    material = np.empty(len(rows), np.int32)
+    materials_of(geometry.tables, part, triangle, material)
+    for m in np.unique(material):
+        program, own = programs[m], np.flatnonzero(material == m)
+        if program.opaque:
+            continue
+        place = fragments.place[rows[own]]
+        clear = part_transparency(
+            geometry,
+            program,
+            part[own],
+            triangle[own],
+            np.ascontiguousarray(place[:, 0]),
+            np.ascontiguousarray(place[:, 1]),
+        )
+        opacity = 1.0 - np.clip(clear.min(1) if densest else clear.mean(1), 0.0, 1.0)
+        move_to_samples(cut_outs, fragments, rows[own], opacity)
 
 
 @device

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
+from pointmr_engine.forward.cut_out_cover import narrow_looks
+from pointmr_engine.forward.cut_outs import look_where_opaque
 from pointmr_engine.forward.fragment_surfaces import NO_EYES, place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.lobe_light import finish, shade_lamps, shade_world, widen_by_normals
 from pointmr_engine.forward.placement_values import NEEDS
@@ -62,7 +63,10 @@ class FullShading:
         image, f = self.image, space.fragments
         first_, n_ = np.int64(first), np.int64(n)
         if len(hierarchy.cut_outs.mask):
-            move_to_opaque(hierarchy.cut_outs, f, first_, n_)
+            sampler = image.sampler
+            look_where_opaque(
+                sampler.geometry, sampler.programs, hierarchy.cut_outs, image.coloured, f, first, n
+            )
         to_world = image.camera.world_from_camera
         place_fragments(
             image.view, image.pixel, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f, first_,

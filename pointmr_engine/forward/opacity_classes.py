@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pointmr_engine.forward.opacity_lattice import lattice
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.raytracing.surface import points_at
 
@@ -50,18 +51,6 @@ def opacity_classes(
     if varies.all() and "geometric_normal" not in needs:
         return first, classes.ravel()
     return _led(triangles, classes.ravel(), opacity) if len(first) < len(triangles) else (alone, alone)
-
-
-def lattice(side: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(u, v), both (count, side, side): barycentric weights of vertices 1 and 2 in the cells of `count` triangles.
-
-    Places within the cells differ from triangle to triangle: what falls between the samples of one does not do so for
-    all. Cells beyond the triangle's edge are those of its other half.
-    """
-    rng = np.random.default_rng(side)
-    v, u = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
-    u, v = ((a + rng.random((count, side, side), np.float32)) / np.float32(side) for a in (u, v))
-    return _into_triangle(u, v)
 
 
 def _into_triangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +99,7 @@ def _led(triangles: np.ndarray, classes: np.ndarray, opacity: Opacity) -> tuple[
 def _ranges(triangles: np.ndarray, opacity: Opacity) -> tuple[np.ndarray, np.ndarray]:
     """(k, SIDE, SIDE, 2) least and most of the opacity of triangles in each cell of a lattice and those around it."""
     k = len(triangles)
-    u, v = lattice(SIDE, k)
+    u, v = lattice(SIDE, np.arange(k))
     cells = opacity(np.repeat(triangles, SIDE * SIDE), u.ravel(), v.ravel()).reshape(k, SIDE, SIDE, 2)
     # cells beyond the longest edge lie in the other half, far away: they take their neighbours' values
     q, p = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")

@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.cut_out_cover import move_to_opaque, narrow_looks
+from pointmr_engine.forward.cut_out_cover import let_through, narrow_looks
+from pointmr_engine.forward.cut_outs import look_where_opaque
 from pointmr_engine.forward.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.fragments import cell_at
 from pointmr_engine.forward.lobe_light import widen_by_normals
@@ -126,12 +127,13 @@ def _share_sent(lobes, k, j):
 
 
 @uncounted
-def close_transparency(lobes, throughput, coloured, count):
+def close_transparency(lobes, throughput, coloured, passed, count):
     """Take the transparency of points 0..count out, as far as coverage accounts for it, and scale up what is left.
 
     coloured (N,) bool: covered by what the densest channel blocks; what the others let through besides stays. Elsewhere
-    coverage is by mean opacity, and nothing stays. Lobes that were added to what passes are not scaled: what passes may
-    hang on the instance then, of which coverage knows nothing.
+    coverage is by mean opacity, and nothing stays. passed (N,) float32: the share that coverage lets through there. Of
+    lobes that were added to what passes (Add Shader), no more is taken: they do not fade with what they hide, and a
+    surface that lets nearly all through would shine.
     """
     for k in range(count):
         average, least = 0.0, 1.0
@@ -145,13 +147,15 @@ def close_transparency(lobes, throughput, coloured, count):
             sent = combine(1.0, sent, _share_sent(lobes, np.int64(k), np.int64(j)), weight)
         most = max(sent[0], sent[1], sent[2])
         taken = min(least if coloured[k] else average, 0.999)
-        scale = 1.0 / (1.0 - taken) if most <= ADDED * (1.0 - taken) else 1.0
+        if most > ADDED * (1.0 - taken):
+            taken = min(taken, np.float64(passed[k]))
+        scale = 1.0 / (1.0 - taken)
         for c in range(3):
             left = 0.0
             if coloured[k]:
                 # what the lobes' scale takes is given back to what passes
                 clear = np.float64(lobes.transparency[k, c])
-                left = min(max(clear - taken, 0.0) / (1.0 - taken), max(clear, 1.0)) / scale
+                left = min(max(clear - taken, 0.0), max(clear, 1.0) * (1.0 - taken))
             lobes.transparency[k, c] = left if left > TINGE else 0.0
             throughput[k, c] *= scale
 
@@ -172,7 +176,7 @@ class FragmentPaths(Workspace):
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
         self.pixel, self.in_pixel = np.empty(n, np.int64), np.empty((0, 0), np.int32)
-        self.coloured = np.zeros(n, np.bool_)
+        self.coloured, self.let_pass = np.zeros(n, np.bool_), np.zeros(n, np.float32)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
         # of all fragments whose paths are under way; self.samples: of one batch, while its first surfaces are lit
         self.every = self.samples
@@ -218,7 +222,11 @@ class FragmentPaths(Workspace):
             np.int64(image.settings.seed), self.in_pixel, space.used, self.pixel,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
-            move_to_opaque(hierarchy.cut_outs, f, first_, n_)
+            sampler = image.sampler
+            look_where_opaque(
+                sampler.geometry, sampler.programs, hierarchy.cut_outs, image.coloured, f, first, count
+            )
+            let_through(hierarchy.cut_outs, f, first_, n_, self.let_pass)
         to_world = image.camera.world_from_camera
         place_fragments(
             image.view, image.footprint, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f,
@@ -373,4 +381,4 @@ class FragmentPaths(Workspace):
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
-            close_transparency(self.lobes, now.throughput, self.coloured, np.int64(n))
+            close_transparency(self.lobes, now.throughput, self.coloured, self.let_pass, np.int64(n))

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.cut_outs import part_materials, part_transparency
-from pointmr_engine.forward.opacity_classes import lattice
+from pointmr_engine.forward.opacity_lattice import lattice
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_clear
 
 FINEST = 64  # cells along an edge at most: bits of a word
@@ -48,7 +48,7 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
     for part, program, triangles, row in groups:
         for k in range(0, len(row), step):
             chosen = triangles[k : k + step]
-            u, v = (a.ravel() for a in lattice(side, len(chosen)))
+            u, v = (a.ravel() for a in lattice(side, row[k : k + step]))
             share = part_transparency(geometry, program, part, np.repeat(chosen, side * side), u, v)
             clear = share.min(1) >= CLEAR
             words[row[k : k + step]] = (surely(clear.reshape(-1, side, side)) * weights).sum(2)
