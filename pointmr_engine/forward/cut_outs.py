@@ -23,7 +23,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.surface import points_at
 
-SAMPLES = 3_000_000  # at most, over all triangles
+SAMPLES = 12_000_000  # at most, over all triangles
 FINEST = 64  # samples along a triangle's edge at most
 _CHUNK = 1 << 18
 
