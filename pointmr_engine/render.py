@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.image.frame import Frame
+from pointmr_engine.scene.group import Group
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.warm import Helper, describe
@@ -63,6 +64,9 @@ class Cache:
     def __init__(self):
         self._parts: tuple = ()
         self._compiled: Compiled | None = None
+        self.separated: tuple | None = (
+            None  # a root with shadow catchers, and what catchers.separate made of it
+        )
 
     def find(self, scene: Scene, filtered: bool) -> Compiled | None:
         """What was kept of this scene, its materials filtered or not, or None."""
@@ -104,6 +108,7 @@ def render(
     if settings.method == "conventional":
         settings = replace(settings, samples=1)
     filtered = settings.method != "distributed"  # there the pixel's many rays do it
+    scene, deciding = _separated(scene, cache)
     compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
     helper = Helper()
     try:
@@ -111,13 +116,10 @@ def render(
             compiled = _compile(scene, filtered, settings, clock, helper, compiled)
             if cache is not None:
                 cache.keep(scene, filtered, compiled)
-        if settings.method in SPLATTED:
-            frame, counters, needs = _splat(scene, compiled, settings, clock)
+        if deciding:
+            frame, counters, needs = _catch(scene, compiled, deciding, settings, clock, helper)
         else:
-            stage = _prepare(scene, compiled, settings, clock)
-            clock.phase("rendering")
-            frame, counters = _render_tiles(stage, settings, clock)
-            needs = asdict(stage.needs)
+            frame, counters, needs = _picture(scene, compiled, settings, clock)
     finally:
         helper.stop()
     clock.phase("done")
@@ -136,11 +138,27 @@ def render(
     return frame
 
 
+def _separated(scene: Scene, cache: Cache | None) -> tuple[Scene, list]:
+    """The scene with its shadow catchers apart from others, and the batches that decide; none without catchers."""
+    from pointmr_engine.scene.catchers import has_catchers, separate
+
+    if not has_catchers(scene.root):
+        return scene, []
+    if cache is None:
+        root, deciding = separate(scene.root)
+    else:
+        if cache.separated is None or cache.separated[0] is not scene.root:
+            cache.separated = scene.root, *separate(scene.root)
+        _, root, deciding = cache.separated
+    return replace(scene, root=root), deciding
+
+
 class _Clock:
     """Times the phases, and asks the progress callback whether to go on."""
 
     def __init__(self, progress: Progress | None):
         self.progress = progress
+        self.picture, self.pictures = 0, 1  # which of several pictures of one image is rendered
         self.times: dict[str, float] = {}
         self._phase = ""
         self._start = time.perf_counter()
@@ -153,6 +171,9 @@ class _Clock:
         self.tell(0.0)
 
     def tell(self, fraction: float, tile: Tile | None = None) -> None:
+        fraction = (self.picture + fraction) / self.pictures
+        if self.picture:
+            tile = None  # of what is no picture in itself
         if self.progress is not None and self.progress(fraction, self._phase, tile):
             raise Cancelled("the render was cancelled")
 
@@ -210,6 +231,48 @@ def _compile(
         lights = build_lights(scene, geometry, programs)
         warnings += lights.warnings
     return Compiled(geometry, programs, acceleration, lights, sampler, warnings + geometry.warnings)
+
+
+def _picture(
+    scene: Scene, compiled: Compiled, settings: RenderSettings, clock: _Clock
+) -> tuple[Frame, Counter, dict]:
+    """The frame, counters, and what was needed."""
+    if settings.method in SPLATTED:
+        return _splat(scene, compiled, settings, clock)
+    stage = _prepare(scene, compiled, settings, clock)
+    clock.phase("rendering")
+    frame, counters = _render_tiles(stage, settings, clock)
+    return frame, counters, asdict(stage.needs)
+
+
+def _catch(
+    scene: Scene, compiled: Compiled, deciding: list, settings: RenderSettings, clock: _Clock, helper: Helper
+) -> tuple[Frame, Counter, dict]:
+    """A picture with shadow catchers; passes other than the combined one are those of the objects."""
+    from pointmr_engine import shadow_catcher
+
+    clock.pictures = len(shadow_catcher.PICTURES) + (not settings.film_transparent)
+    frames, counted = [], Counter()
+    for picture in shadow_catcher.PICTURES:
+        clock.picture = picture
+        lit = shadow_catcher.scene_of(scene, picture)
+        seen = shadow_catcher.seen_in(compiled, lit, deciding, picture)
+        made = _picture(lit, seen, shadow_catcher.settings_of(settings, picture), clock)
+        frames.append(made[0])
+        counted.update(made[1])
+        if picture == shadow_catcher.OBJECTS:
+            needs = made[2]
+    behind = None
+    if not settings.film_transparent:
+        clock.picture = len(frames)
+        empty = Scene(Group("nothing"), scene.camera, [], scene.world)
+        plain = replace(settings, passes=("combined",))
+        nothing = _compile(empty, settings.method != "distributed", plain, clock, helper, None)
+        behind = _picture(empty, nothing, plain, clock)[0].passes["combined"]
+    images = [frame.passes["combined"] for frame in frames]
+    frames[0].passes["combined"] = shadow_catcher.combine(*images, behind)
+    clock.picture, clock.pictures = 0, 1
+    return frames[0], counted, needs
 
 
 def _splat(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pointmr_engine.scene.group import VISIBLE
-
 from . import seeds, visibility
 from .geometry import has_nodes, instances_particles, terminator_offset
 from .transforms import matrix
@@ -63,6 +61,6 @@ def place(sync, objects: list, rows) -> set[int]:
         seen, holdout = flags[top]
         seed = item.random_id & 0xFFFFFFFF if item.is_instance else 0
         world = matrix(item.matrix_world)
-        placed = own.moved(world)._replace(visibility=own.visibility & seen & VISIBLE | holdout)
+        placed = own.moved(world)._replace(visibility=visibility.below(own.visibility, seen, holdout))
         rows.add(placed, seed or seeds.object_seed(ob.name))
     return set(wanted)

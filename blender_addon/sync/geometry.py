@@ -69,8 +69,6 @@ class GeometrySync:
             return None
         if not self.use_surfaces:
             return self.strands(ob)
-        if ob.is_shadow_catcher:
-            self.watch.warn(f"object '{ob.name}': shadow catchers are not supported; it is rendered as it is")
         group = self._geometry(ob)
         return None if group is None else self.placed(ob, group, () if kind == "MESH" else (0,))
 

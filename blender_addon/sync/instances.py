@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.scene.group import HOLDOUT, Group
+from pointmr_engine.scene.group import HOLDOUT, VISIBLE, Group
 
 from . import attributes, children, expanded, instancer_points, seeds, visibility
 from .geometry import GeometrySync, instances_particles, is_missing, makes_geometry, pointmr_collection
@@ -56,18 +56,23 @@ class InstanceSync:
             if own is None and not made:
                 continue
             seen, holdout = self._view_layer_flags(ob)
-            if not seen and not holdout:
+            if not seen & VISIBLE and not holdout:
                 continue
             world = matrix(ob.matrix_world)
             if own is not None:
                 seed = seeds.object_seed(own.name)
-                rows.add(own.moved(world)._replace(visibility=own.visibility & seen | holdout), seed)
+                rows.add(
+                    own.moved(world)._replace(visibility=visibility.below(own.visibility, seen, holdout)),
+                    seed,
+                )
             for p in made:
                 if p.settled:
                     seed = 0
                 else:
                     seed = seeds.instance_seed(p.name, p.ids or (0,), ob.name)
-                rows.add(p.moved(world)._replace(visibility=p.visibility & seen | holdout), seed)
+                rows.add(
+                    p.moved(world)._replace(visibility=visibility.below(p.visibility, seen, holdout)), seed
+                )
         return rows.group() or Group("Scene")
 
     def top_objects(self) -> list:

@@ -55,6 +55,7 @@ def lamp(ob, material_sync, watch) -> Light | None:
         soft_falloff=bool(getattr(data, "use_soft_falloff", True)),
         cast_shadow=bool(getattr(data, "use_shadow", True)),
         use_mis=bool(getattr(own, "use_multiple_importance_sampling", True)),
+        lights_catchers=bool(ob.is_shadow_catcher),
         name=ob.name,
     )
     if data.type in {"POINT", "SPOT"}:

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, SHADOW, TRANSMISSION, VISIBLE, VOLUME_SCATTER
+from pointmr_engine.scene.group import (
+    CAMERA,
+    DIFFUSE,
+    GLOSSY,
+    SHADOW,
+    SHADOW_CATCHER,
+    TRANSMISSION,
+    VISIBLE,
+    VOLUME_SCATTER,
+)
 
 RAY_FLAGS = (
     ("visible_camera", CAMERA),
@@ -15,12 +24,19 @@ RAY_FLAGS = (
 
 
 def ray_visibility(ob) -> int:
-    """The object's ray visibility as bits of `scene.group`."""
+    """The object's ray visibility, and whether it is a shadow catcher, as bits of `scene.group`."""
     bits = VISIBLE
+    if ob.is_shadow_catcher and ob.type != "LIGHT":
+        bits |= SHADOW_CATCHER
     for name, bit in RAY_FLAGS:
         if not getattr(ob, name):
             bits &= ~bit
     return bits
+
+
+def below(own: int, above: int, flags: int) -> int:
+    """The bits of what an object of bits `above`, and with further `flags`, places."""
+    return (own & above & VISIBLE) | ((own | above) & SHADOW_CATCHER) | flags
 
 
 def is_final(depsgraph) -> bool:

@@ -36,7 +36,11 @@ class POINTMR_OBJECT_PT_visibility(ObjectPanel, Panel):
         col.prop(ob, "hide_viewport", text="Viewports", invert_checkbox=True, toggle=False)
         col.prop(ob, "hide_render", text="Renders", invert_checkbox=True, toggle=False)
         if has_geometry_visibility(ob):
-            layout.column(heading="Mask").prop(ob, "is_holdout")
+            col = layout.column(heading="Mask")
+            col.prop(ob, "is_holdout")
+            col.prop(ob, "is_shadow_catcher")
+        elif ob.type == "LIGHT":
+            layout.column(heading="Mask").prop(ob, "is_shadow_catcher")
 
 
 class POINTMR_OBJECT_PT_ray_visibility(ObjectPanel, Panel):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import threading
 from collections import Counter
@@ -55,6 +56,15 @@ class Sampler:
         self.sets: dict[tuple, SampleSets] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
+
+    def of_geometry(self, geometry: Geometry) -> Sampler:
+        """A sampler of the same scene whose placements have other visibility; octrees and samples are shared."""
+        other = copy.copy(self)
+        other.geometry = geometry
+        other.emissive_lamps = emissive_lamps(geometry, self.programs)
+        other.prefiltered = other.lights = None
+        other._spaces, other._lock = {}, threading.Lock()
+        return other
 
     def space(self, image: Image) -> Workspace:
         """Buffers for a thread that draws tiles of `image`: those of an earlier image, where they fit."""

@@ -10,8 +10,11 @@ import numpy as np
 from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.mesh import Mesh
 
-# Ray visibility and object flags, one byte per instance; combined along a path by AND (visibility) and OR (HOLDOUT).
-CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW, VOLUME_SCATTER, HOLDOUT = 1, 2, 4, 8, 16, 32, 64
+# Ray visibility and object flags, one byte per instance; combined along a path by AND (visibility) and OR (HOLDOUT,
+# SHADOW_CATCHER).
+CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW, VOLUME_SCATTER, HOLDOUT, SHADOW_CATCHER = (
+    1 << k for k in range(8)
+)
 VISIBLE = CAMERA | DIFFUSE | GLOSSY | TRANSMISSION | SHADOW | VOLUME_SCATTER
 
 
@@ -22,7 +25,7 @@ class Instances:
     groups: the Groups placed; group_index (N,) int32 into it, None meaning all 0.
     transforms (N, 3, 4) float64, parent_from_group (affine, the last row 0 0 0 1 left out).
     What follows is None, or one value per instance (the first axis may also be 1 for all):
-    visibility (N,) uint8, the bits above; None: VISIBLE, no holdout
+    visibility (N,) uint8, the bits above; None: VISIBLE, no holdout and no shadow catcher
     object_index (N,) int32: the object's pass index, -1 to inherit the parent's; None inherits
     seed (N,) uint32: source of Object Info's random value; 0 inherits; seeds combine along a path by hashing
     color (N, 4) float32: Object Info's colour; None inherits (white at the root)

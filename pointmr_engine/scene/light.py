@@ -18,6 +18,7 @@ class Light:
     radius (m) of point and spot; angle (rad) of a sun; spot_angle (rad, full cone), spot_blend 0..1;
     size_x, size_y (m): full sides or diameters of "SQUARE", "RECTANGLE", "DISK", "ELLIPSE"; spread (rad, full cone).
     soft_falloff: as Cycles' option of the same name. visibility: the bits of scene.group.
+    lights_catchers: shadow catchers show its shadows; else it adds to their light, and may outshine shadows of others.
     """
 
     kind: str  # "POINT", "SUN", "SPOT", "AREA"
@@ -38,4 +39,5 @@ class Light:
     cast_shadow: bool = True
     use_mis: bool = True
     visibility: int = VISIBLE
+    lights_catchers: bool = True
     name: str = "Light"
