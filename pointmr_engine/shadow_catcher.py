@@ -24,7 +24,10 @@ def scene_of(scene: Scene, picture: int) -> Scene:
 def settings_of(settings: RenderSettings, picture: int) -> RenderSettings:
     """Of the objects, all passes; of catchers their light and how much of a pixel they cover."""
     passes = settings.passes if picture == OBJECTS else ("combined",)
-    return replace(settings, film_transparent=True, passes=passes)
+    forward = settings.forward
+    if picture == ALONE:  # shadow maps show all that the camera may see
+        forward = replace(forward, shadows=False)
+    return replace(settings, film_transparent=True, passes=passes, forward=forward)
 
 
 def seen_in(compiled, scene: Scene, deciding: list[Instances], picture: int):

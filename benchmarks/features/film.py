@@ -229,3 +229,17 @@ def film_shadow_catcher():
     softbox(300)
     plane(matte(SAND), (0, 0, 0), 14.0).is_shadow_catcher = True
     monkey(matte(RED), (0, 0, 0.9), 1.1)
+
+
+@feature()
+def film_shadow_catcher_transparent():
+    """On a transparent film a catcher is its shadows' opacity; a lamp and a glow that are not its own outshine them."""
+    world((0.3, 0.35, 0.45))
+    camera()
+    softbox(300)
+    bpy.context.scene.render.film_transparent = True
+    plane(matte(SAND), (0, 0, 0), 14.0).is_shadow_catcher = True
+    monkey(matte(RED), (0, 0, 0.9), 1.1)
+    lamp("POINT", 60.0, (2.5, -1.5, 2.0), (0, 0, 0), shadow_soft_size=0.1).is_shadow_catcher = False
+    wall = plane(matte(BLUE), (-2.5, 0.5, 0.0), 1.5)
+    wall.is_shadow_catcher, wall.rotation_euler = True, (0.0, 1.2, 0.3)

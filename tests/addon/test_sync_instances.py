@@ -155,6 +155,25 @@ def test_visibility_of_instancer_and_instanced(scene):
     }
 
 
+def test_shadow_catchers_are_objects_and_what_their_instancers_place(scene):
+    c = b.collection("c")
+    b.add("a", b.polygon("p", 4), c, is_shadow_catcher=True)
+    b.add("b", b.polygon("p", 5), c)
+    b.add("c", b.polygon("p", 6), is_shadow_catcher=True, visible_shadow=False)
+    b.instance_of("plain", c)
+    b.instance_of("catching", c, location=(5, 0, 0), is_shadow_catcher=True)
+    result, _, _ = export()
+    every, caught = groups.VISIBLE, groups.VISIBLE | groups.SHADOW_CATCHER
+    found = [
+        sorted(int(v) for batch in group.instances for v in np.broadcast_to(batch.visibility, len(batch)))
+        for group in (
+            result.root,
+            next(c for batch in result.root.instances for c in batch.groups if c.instances),
+        )
+    ]
+    assert found == [sorted([every, caught, caught & ~groups.SHADOW]), sorted([every, caught])]
+
+
 def test_object_index_color_and_seed(scene):
     c = b.collection("c")
     b.add("a", b.polygon("p", 4), c, pass_index=3, color=(1, 0, 0, 1))
