@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.image.frame import Frame
-from pointmr_engine.scene.group import Group
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.warm import Helper, describe
@@ -117,7 +116,14 @@ def render(
             if cache is not None:
                 cache.keep(scene, filtered, compiled)
         if deciding:
-            frame, counters, needs = _catch(scene, compiled, deciding, settings, clock, helper)
+            from pointmr_engine import shadow_catcher
+
+            def empty(scene, settings):
+                return _compile(scene, filtered, settings, clock, helper, None)
+
+            frame, counters, needs = shadow_catcher.render(
+                scene, compiled, deciding, settings, clock, _picture, empty
+            )
         else:
             frame, counters, needs = _picture(scene, compiled, settings, clock)
     finally:
@@ -243,36 +249,6 @@ def _picture(
     clock.phase("rendering")
     frame, counters = _render_tiles(stage, settings, clock)
     return frame, counters, asdict(stage.needs)
-
-
-def _catch(
-    scene: Scene, compiled: Compiled, deciding: list, settings: RenderSettings, clock: _Clock, helper: Helper
-) -> tuple[Frame, Counter, dict]:
-    """A picture with shadow catchers; passes other than the combined one are those of the objects."""
-    from pointmr_engine import shadow_catcher
-
-    clock.pictures = len(shadow_catcher.PICTURES) + (not settings.film_transparent)
-    frames, counted = [], Counter()
-    for picture in shadow_catcher.PICTURES:
-        clock.picture = picture
-        lit = shadow_catcher.scene_of(scene, picture)
-        seen = shadow_catcher.seen_in(compiled, lit, deciding, picture)
-        made = _picture(lit, seen, shadow_catcher.settings_of(settings, picture), clock)
-        frames.append(made[0])
-        counted.update(made[1])
-        if picture == shadow_catcher.OBJECTS:
-            needs = made[2]
-    behind = None
-    if not settings.film_transparent:
-        clock.picture = len(frames)
-        empty = Scene(Group("nothing"), scene.camera, [], scene.world)
-        plain = replace(settings, passes=("combined",))
-        nothing = _compile(empty, settings.method != "distributed", plain, clock, helper, None)
-        behind = _picture(empty, nothing, plain, clock)[0].passes["combined"]
-    images = [frame.passes["combined"] for frame in frames]
-    frames[0].passes["combined"] = shadow_catcher.combine(*images, behind)
-    clock.picture, clock.pictures = 0, 1
-    return frames[0], counted, needs
 
 
 def _splat(

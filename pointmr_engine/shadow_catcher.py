@@ -2,16 +2,48 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
 from pointmr_engine.scene.catchers import ALONE, CAUGHT, OBJECTS, decide
-from pointmr_engine.scene.group import Instances
+from pointmr_engine.scene.group import Group, Instances
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 
 PICTURES = (OBJECTS, CAUGHT, ALONE)
+
+
+def render(
+    scene: Scene, compiled, deciding: list[Instances], settings: RenderSettings, clock, picture, compile_scene
+):
+    """(frame, counters, needs) of a scene with catchers; passes other than the combined one are those of the objects.
+
+    compiled: render.Compiled of the scene, whose root is of `catchers.separate`, as `deciding`. clock: render's;
+    picture(scene, compiled, settings, clock) renders one picture, and compile_scene(scene, settings) prepares another
+    scene.
+    """
+    clock.pictures = len(PICTURES) + (not settings.film_transparent)
+    frames, counted, needs = [], Counter(), {}
+    for which in PICTURES:
+        clock.picture = which
+        lit = scene_of(scene, which)
+        seen = seen_in(compiled, lit, deciding, which)
+        frame, counters, own_needs = picture(lit, seen, settings_of(settings, which), clock)
+        frames.append(frame)
+        counted.update(counters)
+        needs = needs or own_needs
+    behind = None
+    if not settings.film_transparent:
+        clock.picture = len(frames)
+        empty = Scene(Group("nothing"), scene.camera, [], scene.world)
+        plain = replace(settings, passes=("combined",))
+        behind = picture(empty, compile_scene(empty, plain), plain, clock)[0].passes["combined"]
+    result = frames[0]
+    result.passes["combined"] = combine(*(frame.passes["combined"] for frame in frames), behind)
+    clock.picture, clock.pictures = 0, 1
+    return result, counted, needs
 
 
 def scene_of(scene: Scene, picture: int) -> Scene:
