@@ -146,17 +146,15 @@ def render(
 
 def _separated(scene: Scene, cache: Cache | None) -> tuple[Scene, list]:
     """The scene with its shadow catchers apart from others, and the batches that decide; none without catchers."""
-    from pointmr_engine.scene.catchers import has_catchers, separate
+    from pointmr_engine.scene.catchers import separate
 
-    if not has_catchers(scene.root):
-        return scene, []
     if cache is None:
         root, deciding = separate(scene.root)
     else:
         if cache.separated is None or cache.separated[0] is not scene.root:
             cache.separated = scene.root, *separate(scene.root)
         _, root, deciding = cache.separated
-    return replace(scene, root=root), deciding
+    return (replace(scene, root=root), deciding) if deciding else (scene, [])
 
 
 class _Clock:

@@ -39,8 +39,10 @@ def has_catchers(root: Group) -> bool:
 def separate(root: Group) -> tuple[Group, list[Instances]]:
     """(the same scene, its batches that decide): no group below their placements holds both catchers and others.
 
-    Groups in which nothing is marked are shared with `root`.
+    Groups in which nothing is marked are shared with `root`; where nothing is, it is (root, []).
     """
+    if not has_catchers(root):
+        return root, []
     mixed: dict[int, Group] = {}
     deciding: list[Instances] = []
     for group in unique_groups(root):
