@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.forward.baking import materials_of
-from pointmr_engine.forward.cut_out_cover import cut_out_of, move_to_opaque, move_to_samples, with_holes  # noqa: F401
+from pointmr_engine.forward.cut_out_cover import move_to_opaque, move_to_samples, with_holes
 from pointmr_engine.forward.draw import draw_triangle, to_target
 from pointmr_engine.forward.opacity_classes import opacity_classes
 from pointmr_engine.forward.opacity_lattice import lattice
@@ -135,15 +135,8 @@ def look_where_opaque(
         program, own = programs[m], np.flatnonzero(material == m)
         if program.opaque:
             continue
-        place = fragments.place[rows[own]]
-        clear = part_transparency(
-            geometry,
-            program,
-            part[own],
-            triangle[own],
-            np.ascontiguousarray(place[:, 0]),
-            np.ascontiguousarray(place[:, 1]),
-        )
+        u, v = fragments.place[rows[own]].T
+        clear = part_transparency(geometry, program, part[own], triangle[own], u, v)
         opacity = 1.0 - np.clip(clear.min(1) if densest else clear.mean(1), 0.0, 1.0)
         move_to_samples(cut_outs, fragments, rows[own], opacity)
 

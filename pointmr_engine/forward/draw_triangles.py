@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.cut_outs import cut_out_of, draw_cut_out
+from pointmr_engine.forward.cut_out_cover import cut_out_of
+from pointmr_engine.forward.cut_outs import draw_cut_out
 from pointmr_engine.forward.draw import box_is_behind, draw_triangle, triangle_to_camera
 from pointmr_engine.forward.surfel_lanes import (
     CORNER_FRONT,

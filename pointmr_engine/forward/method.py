@@ -110,9 +110,7 @@ class Image:
     """One image: everything that its tiles share."""
 
     warnings: list[str] = []  # what was asked for and could not be had
-    coloured = (
-        False  # cut-outs are those of the channel that is blocked most, and what passes in others goes on
-    )
+    coloured = False  # cut-outs are those of the channel that is blocked most; the others' light goes on
 
     def __init__(self, sampler: Sampler, scene: Scene, camera: CameraArrays, settings: RenderSettings):
         self.sampler, self.camera, self.settings = sampler, camera, settings
