@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.image.frame import Frame
+from pointmr_engine.scene.group import Group, Instances
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.warm import Helper, describe
@@ -63,9 +64,8 @@ class Cache:
     def __init__(self):
         self._parts: tuple = ()
         self._compiled: Compiled | None = None
-        self.separated: tuple | None = (
-            None  # a root with shadow catchers, and what catchers.separate made of it
-        )
+        # a scene's root, and what catchers.separate made of it
+        self.separated: tuple[Group, Group, list[Instances]] | None = None
 
     def find(self, scene: Scene, filtered: bool) -> Compiled | None:
         """What was kept of this scene, its materials filtered or not, or None."""

@@ -233,7 +233,7 @@ def film_shadow_catcher():
 
 @feature()
 def film_shadow_catcher_transparent():
-    """On a transparent film a catcher is its shadows' opacity; a lamp and a glow that are not its own outshine them."""
+    """On a transparent film a catcher is its shadows' opacity; a lamp that is not its own outshines them."""
     world((0.3, 0.35, 0.45))
     camera()
     softbox(300)

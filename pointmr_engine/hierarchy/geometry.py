@@ -11,7 +11,7 @@ import numpy as np
 
 from pointmr_engine.numerics.pointers import address_of
 from pointmr_engine.scene.errors import SceneError
-from pointmr_engine.scene.group import Group, Instances, count_triangles, unique_groups
+from pointmr_engine.scene.group import Group, Instances, count_triangles, unique_groups, validate_batch
 from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.mesh import Mesh
 from pointmr_engine.scene.scene import Scene
@@ -131,7 +131,7 @@ def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
         for batch in group.instances:
             if id(batch) not in batch_of:
                 batch_of[id(batch)] = len(geometry.batches)
-                _validate_batch(batch, group)
+                validate_batch(batch, group)
                 geometry.batches.append(batch)
             rows.append(batch_of[id(batch)])
         geometry.group_batches.append(rows)
@@ -144,22 +144,6 @@ def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
         if kind in ("uv", "tangent", "attribute"):
             layers.layer(geometry, kind, name)
     return geometry
-
-
-def _validate_batch(batch: Instances, group: Group) -> None:
-    where = f"instances '{batch.name}' in group '{group.name}'"
-    m, n = batch.transforms, len(batch.transforms)
-    if m.ndim != 3 or m.shape[1:] != (3, 4):
-        raise SceneError(f"{where}: transforms of shape {m.shape}, expected (N, 3, 4)")
-    if n and not batch.groups:
-        raise SceneError(f"{where}: no group to place")
-    for name in ("group_index", "visibility", "object_index", "seed", "color"):
-        values = getattr(batch, name)
-        if values is not None and len(values) not in (1, n):
-            raise SceneError(f"{where}: {len(values)} values of {name} for {n} placements")
-    index = batch.group_index
-    if index is not None and len(index) and (index.min() < 0 or index.max() >= len(batch.groups)):
-        raise SceneError(f"{where}: group_index outside 0..{len(batch.groups) - 1}")
 
 
 def _identity(array: np.ndarray) -> tuple:

@@ -19,6 +19,7 @@ from pointmr_engine.scene.group import (
     Instances,
     instance,
     unique_groups,
+    validate_batch,
 )
 
 OBJECTS, CAUGHT, ALONE = range(3)  # the pictures
@@ -39,7 +40,8 @@ def has_catchers(root: Group) -> bool:
 def separate(root: Group) -> tuple[Group, list[Instances]]:
     """(the same scene, its batches that decide): no group below their placements holds both catchers and others.
 
-    Groups in which nothing is marked are shared with `root`; where nothing is, it is (root, []).
+    Groups in which nothing is marked are shared with `root`; where nothing is, it is (root, []). Raises SceneError for
+    a malformed batch or a group that contains itself.
     """
     if not has_catchers(root):
         return root, []
@@ -48,6 +50,8 @@ def separate(root: Group) -> tuple[Group, list[Instances]]:
     for group in unique_groups(root):
         inner = any(_marks(b).any() or any(id(c) in mixed for c in b.groups) for b in group.instances)
         if inner or group is root:
+            for batch in group.instances:
+                validate_batch(batch, group)
             batches = [_explicit(batch, mixed, deciding) for batch in group.instances]
             if group.meshes:
                 own = instance(Group(group.name, group.meshes), visibility=VISIBLE)

@@ -67,6 +67,23 @@ class Group:
     instances: list[Instances] = field(default_factory=list)
 
 
+def validate_batch(batch: Instances, group: Group) -> None:
+    """Raise SceneError for a malformed batch of `group`, naming both."""
+    where = f"instances '{batch.name}' in group '{group.name}'"
+    m, n = batch.transforms, len(batch.transforms)
+    if m.ndim != 3 or m.shape[1:] != (3, 4):
+        raise SceneError(f"{where}: transforms of shape {m.shape}, expected (N, 3, 4)")
+    if n and not batch.groups:
+        raise SceneError(f"{where}: no group to place")
+    for name in ("group_index", "visibility", "object_index", "seed", "color"):
+        values = getattr(batch, name)
+        if values is not None and len(values) not in (1, n):
+            raise SceneError(f"{where}: {len(values)} values of {name} for {n} placements")
+    index = batch.group_index
+    if index is not None and len(index) and (index.min() < 0 or index.max() >= len(batch.groups)):
+        raise SceneError(f"{where}: group_index outside 0..{len(batch.groups) - 1}")
+
+
 def unique_groups(root: Group) -> list[Group]:
     """All groups reachable from `root`, each once, children before parents (root last).
 

@@ -6,6 +6,7 @@ import pytest
 from pointmr_engine import Group, Light, RenderSettings, Scene, principled, render, uniform_world
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.catchers import has_catchers
+from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.group import SHADOW_CATCHER, VISIBLE, Instances, instance
 from pointmr_engine.scene.settings import ForwardSettings
 from tests.engine.small_scenes import at, from_above, quad
@@ -120,3 +121,12 @@ def test_scenes_without_catchers_are_left_alone():
     scene = Scene(Group("root", [], [instance(floor)]), from_above(), [lamp()], BLACK)
     render(scene, RenderSettings(16, 16), lambda fraction, text, tile: messages.append(text) and None)
     assert messages.count("gathering lights") <= 1
+
+
+def test_malformed_batches_are_named():
+    floor = Group("floor", [quad(20.0, 0.0, WHITE)])
+    bad = Instances(
+        (floor,), np.stack([at(0, 0, 0)[:3]] * 3), None, np.full(2, CATCHER, np.uint8), name="cards"
+    )
+    with pytest.raises(SceneError, match="'cards' in group 'root': 2 values of visibility for 3 placements"):
+        shot(caught(Group("root", [], [bad])))
