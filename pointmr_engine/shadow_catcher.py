@@ -77,14 +77,15 @@ def seen_in(compiled, scene: Scene, deciding: list[Instances], picture: int):
             values[first:end] = batch.visibility[: end - first]
     tables = geometry.instances._replace(visibility_values=values)
     geometry = replace(geometry, batches=batches, instances=tables)
-    acceleration = lights = sampler = None
+    acceleration, lights, sampler = None, compiled.lights, None
     if compiled.acceleration is not None:
         from pointmr_engine.hierarchy.acceleration import Acceleration
         from pointmr_engine.raytracing.lights import build_lights
 
         old = compiled.acceleration
         acceleration = Acceleration(geometry, old.arrays._replace(instances=tables), old.warnings)
-        lights = build_lights(scene, geometry, compiled.programs)
+        if picture == ALONE:  # else nothing that shines is hidden from what it lights
+            lights = build_lights(scene, geometry, compiled.programs)
     if compiled.sampler is not None:
         sampler = compiled.sampler.of_geometry(geometry)
     return compiled._replace(geometry=geometry, acceleration=acceleration, lights=lights, sampler=sampler)
