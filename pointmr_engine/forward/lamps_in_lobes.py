@@ -15,9 +15,11 @@ import numpy as np
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.rng import R2
 from pointmr_engine.raytracing.lamps import intersect_lamp, lamp_pdf_scale
+from pointmr_engine.shading.bsdf.glossy import evaluate, sample
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
+    ASHIKHMIN_SHIRLEY,
     KIND_MASK,
     NORMAL,
     REFLECTION,
@@ -25,7 +27,6 @@ from pointmr_engine.shading.bsdf.layout import (
     SINGULAR_LOBE,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.microfacet import evaluate, sample
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
 DIRECTIONS = 16  # in a lobe; the next point's go on in the same sequence
@@ -40,7 +41,8 @@ def narrow_lobes(lobes, k, alpha, solid):
     bits = np.int64(0)
     for j in range(np.int64(lobes.count[k])):
         rough = np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1])
-        reflects = lobes.kind[k, j] & KIND_MASK == REFLECTION
+        base = lobes.kind[k, j] & KIND_MASK
+        reflects = base == REFLECTION or base == ASHIKHMIN_SHIRLEY
         if reflects and rough > SINGULAR_ALPHA_SQUARED and NARROW * rough <= solid:
             bits |= np.int64(1) << np.int64(j)
     return bits

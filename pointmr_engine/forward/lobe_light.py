@@ -43,7 +43,6 @@ from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
-    ASHIKHMIN_SHIRLEY,
     GLASS,
     HAS_TRANSMISSION,
     IOR,
@@ -55,9 +54,9 @@ from pointmr_engine.shading.bsdf.layout import (
     TRANSLUCENT,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
+from pointmr_engine.shading.bsdf.setup import passed_on
 from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
-from pointmr_engine.shading.bsdf.widening import is_microfacet, set_roughness
+from pointmr_engine.shading.bsdf.widening import is_glossy, set_roughness
 from pointmr_engine.shading.lobes import evaluate
 
 FOUR, SIXTEEN = 0.05, 0.6  # solid angles (sr) from which a lamp is four or sixteen points ...
@@ -75,7 +74,7 @@ _GLITTER = 0.125  # squared roughness that a light's squared angular radius is a
 def _widen(lobes, i, alpha, extra):
     """Give the microfacet lobes of point i their roughness `alpha` (n, L, 2) and `extra` squared roughness."""
     for j in range(np.int64(lobes.count[i])):
-        if is_microfacet(lobes.kind[i, j]):
+        if is_glossy(lobes.kind[i, j]):
             set_roughness(lobes, i, j, np.float64(alpha[i, j, 0]), np.float64(alpha[i, j, 1]), extra)
 
 
@@ -138,7 +137,7 @@ def _sharpest(lobes, i, alpha):
     """The least squared roughness of point i's microfacet lobes; 1 where it has none."""
     least = 1.0
     for j in range(np.int64(lobes.count[i])):
-        if is_microfacet(lobes.kind[i, j]):
+        if is_glossy(lobes.kind[i, j]):
             least = min(least, np.float64(alpha[i, j, 0]) * np.float64(alpha[i, j, 1]))
     return least
 
@@ -300,13 +299,7 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
                 continue
             cosine = dot(n, wi)
             rough = math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
-            reflected, transmitted = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-            if base != ASHIKHMIN_SHIRLEY:
-                reflected, transmitted = albedo(kind, lobes.data, np.int64(k), np.int64(j), tables, cosine)
-            share = 1.0
-            if base != ASHIKHMIN_SHIRLEY:
-                share = single_scattering(kind, lobes.data, np.int64(k), np.int64(j), tables, cosine)
-            w = (w[0] * share, w[1] * share, w[2] * share)
+            reflected, transmitted = passed_on(kind, lobes.data, np.int64(k), np.int64(j), tables, wi)
             if reflected[0] + reflected[1] + reflected[2] > 0.0 and base != REFRACTION:
                 mirror = (
                     2.0 * cosine * n[0] - wi[0],
@@ -331,7 +324,8 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
                         along * n[1] - inverse * wi[1],
                         along * n[2] - inverse * wi[2],
                     )
-                    e = world_lobe(transmission, rough * abs(1.0 - inverse), d[0], d[1], d[2])
+                    bend = 0.5 * rough * abs(1.0 - inverse)  # of a mirror that spreads it as much
+                    e = world_lobe(transmission, bend, d[0], d[1], d[2])
                     r += w[0] * transmitted[0] * e[0]
                     g += w[1] * transmitted[1] * e[1]
                     b += w[2] * transmitted[2] * e[2]

@@ -18,10 +18,12 @@ from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.light import Light
 
 BASE = 1024  # columns of the sharpest map
-# halved maps, read between their texels, stand for lobes of these GGX roughnesses (alpha = 2.22 / columns) ...
-BLURRED = (0.1, 0.2, 0.4, 0.7, 1.0)  # ... and these are filtered with the lobe itself
-SOURCE = 64  # columns of the map that they are filtered from
-SMOOTHEST = 2.22
+# Halved maps, read between their texels, stand for narrow lobes: of GGX roughness SMOOTHEST / columns if so much of
+# each is mixed with as much of the next coarser ones. An edge is then right to 0.3 % (7 % with one map, without tails).
+SMOOTHEST, MIXED = 4.19, (0.35, 0.45, 0.11, 0.09)
+COARSEST = 8  # columns of the coarsest map that is mixed
+BLURRED = (0.1, 0.2, 0.4, 0.7, 1.0)  # roughnesses of maps that are filtered with the lobe itself ...
+SOURCE = 64  # ... from the map of so many columns
 UNIFORM = 4  # columns of the map of a world that is the same everywhere
 
 
@@ -122,11 +124,15 @@ def _filtered(base: np.ndarray | None) -> WorldMaps:
     """All maps made from the sharpest one (None: black)."""
     if base is None:
         base = np.zeros((UNIFORM // 2, UNIFORM, 3), np.float32)
+    halved = [base]
+    while halved[-1].shape[1] > COARSEST:
+        halved.append(_halved(halved[-1]))
+    sharp = [m for m in halved if m.shape[1] >= SOURCE] or [base]
+    source = sharp[-1]
     maps, alpha = [base], [0.0]
-    while maps[-1].shape[1] > SOURCE:
-        maps.append(_halved(maps[-1]))
+    for level in range(1, len(sharp)):
+        maps.append(_mixed(halved[level : level + len(MIXED)]))
         alpha.append(SMOOTHEST / maps[-1].shape[1])
-    source = maps[-1]
     for a in BLURRED if source.shape[1] > UNIFORM else ():
         maps.append(_lobe_filtered(source, SOURCE if a < 0.3 else SOURCE // 2, a))
         alpha.append(a)
@@ -148,10 +154,42 @@ def _solid_angle(width: int) -> np.ndarray:
 
 
 def _halved(texels: np.ndarray) -> np.ndarray:
-    weighted = texels * _solid_angle(texels.shape[1])
-    h, w = texels.shape[:2]
-    total = weighted.reshape(h // 2, 2, w // 2, 2, 3).sum((1, 3))
-    return (total / _solid_angle(w // 2)).astype(np.float32)
+    """A map of half as many rows and columns: means by quadratic splines, lest it matter where edges lie in texels."""
+    size = _solid_angle(texels.shape[1])
+    return (_thinned(texels * size) / _thinned(np.broadcast_to(size, texels.shape))).astype(np.float32)
+
+
+def _thinned(texels: np.ndarray) -> np.ndarray:
+    for axis in (0, 1):
+        before, t, after = _with_neighbours(texels, axis)
+        texels = np.moveaxis(before[::2] + 3.0 * (t[::2] + t[1::2]) + after[1::2], 0, axis)
+    return texels
+
+
+def _with_neighbours(texels: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(the texels before each, itself, those after), with `axis` in front; the last column is beside the first."""
+    t = np.moveaxis(texels, axis, 0)
+    before, after = np.roll(t, 1, 0), np.roll(t, -1, 0)
+    if axis == 0:
+        before[0], after[-1] = t[0], t[-1]
+    return before, t, after
+
+
+def _doubled(texels: np.ndarray) -> np.ndarray:
+    """A map of twice as many rows and columns, between the texels."""
+    for axis in (0, 1):
+        before, t, after = _with_neighbours(texels, axis)
+        both = np.stack([0.75 * t + 0.25 * before, 0.75 * t + 0.25 * after], 1)
+        texels = np.moveaxis(both.reshape(-1, *t.shape[1:]), 0, axis)
+    return texels
+
+
+def _mixed(halved: list[np.ndarray]) -> np.ndarray:
+    """Maps, each half as large as the one before, mixed as MIXED says."""
+    total = MIXED[-1] * halved[-1]
+    for share, texels in zip(MIXED[-2::-1], halved[-2::-1], strict=True):
+        total = share * texels + _doubled(total)
+    return total.astype(np.float32)
 
 
 def _lobe_filtered(source: np.ndarray, width: int, alpha: float | None) -> np.ndarray:
@@ -219,8 +257,10 @@ def world_lobe(maps, alpha, x, y, z):
     a = _texel(maps, m, x, y, z)
     if m == last:
         return a
-    t = (alpha - maps.alpha[m]) / (maps.alpha[m + 1] - maps.alpha[m])
-    if t <= 0.0:
+    if alpha <= maps.alpha[m]:
         return a
+    t = alpha / maps.alpha[m + 1]
+    if m > 0:  # edges are as steep as roughness is small
+        t = (1.0 - maps.alpha[m] / alpha) / (1.0 - maps.alpha[m] / maps.alpha[m + 1])
     b = _texel(maps, m + 1, x, y, z)
     return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])

@@ -39,6 +39,7 @@ ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of ea
 # of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
 AROUND = 0.5
+OF_SKY = 0.5  # of that, where a ray sees the world: its maps have a lobe's tails, which the ray was drawn from, too
 MOST = 3  # fragments of a cone
 GAPS = 2.0  # times the variance of a fragment's normals, added for lamps
 
@@ -211,7 +212,9 @@ class ConePaths(WideLamps):
         )  # fmt: skip
         total = sum(counts)
         if counts[2]:
-            walk.intersect(light.acceleration, met.rays, hits, total - counts[2], total)
+            rays = slice(total - counts[2], total)
+            walk.intersect(light.acceleration, met.rays, hits, rays.start, rays.stop)
+            self.lobe_alpha[rays][hits.triangle[rays] < 0] *= OF_SKY
         self.counters["lobe_fragments"] += counts[0]
         frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
         return self.meet(tile, met, then, total, bounce) if total else 0

@@ -7,18 +7,19 @@ import math
 import numpy as np
 
 from pointmr_engine.numerics.jit import device
+from pointmr_engine.shading.bsdf.glossy import evaluate, sample
 from pointmr_engine.shading.bsdf.layout import (
-    ASHIKHMIN_SHIRLEY,
+    GLASS,
     IOR,
     KIND_MASK,
     NORMAL,
-    REFLECTION,
+    REFRACTION,
     SAMPLE,
     SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.microfacet import IOR_MATCHED, evaluate, sample
+from pointmr_engine.shading.bsdf.microfacet import IOR_MATCHED
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 from pointmr_engine.shading.lobes import value_of
 
@@ -40,9 +41,8 @@ def rays_of(throughput, small):
 def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
     """Whether a lobe of throughput `largest` takes a ray by chance instead of a cone. limit: ROUGH, for these cones."""
     kind = lobes.kind[k, j]
-    if kind & SINGULAR_LOBE or kind & KIND_MASK == ASHIKHMIN_SHIRLEY:
-        return False
-    if kind & KIND_MASK != REFLECTION and abs(np.float64(lobes.data[k, j, IOR]) - 1.0) < IOR_MATCHED:
+    refracts = kind & KIND_MASK == REFRACTION or kind & KIND_MASK == GLASS
+    if kind & SINGULAR_LOBE or (refracts and abs(np.float64(lobes.data[k, j, IOR]) - 1.0) < IOR_MATCHED):
         return False
     return small or largest < strong or rough > limit
 

@@ -109,13 +109,15 @@ def _density(lobes: LobeCones, m, u, v, alpha2):
     inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)
     w = inverse * inverse * inverse
     nx, ny, nz = lobes.normal[m, 0], lobes.normal[m, 1], lobes.normal[m, 2]
+    dx, dy, dz = direction_of(c, m, u, v)
+    dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+    if lobes.part[m] == 2 and _in_core(c, m - 1, dx, dy, dz):
+        return 0.0
     if nx * nx + ny * ny + nz * nz == 0.0:
         r2 = (u * u + v * v) / (4.0 * alpha2)
         return w / ((1.0 + r2) * (1.0 + r2))
-    dx, dy, dz = direction_of(c, m, u, v)
-    dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
     cosine = nx * dx + ny * dy + nz * dz
-    if cosine <= 0.0 or (lobes.part[m] == 2 and _in_core(c, m - 1, dx, dy, dz)):
+    if cosine <= 0.0:
         return 0.0
     hx, hy, hz = dx + lobes.incoming[m, 0], dy + lobes.incoming[m, 1], dz + lobes.incoming[m, 2]
     h = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
@@ -219,6 +221,17 @@ def _look(lobes: LobeCones, k, mask):
     return total, x * inverse, y * inverse, z * inverse
 
 
+@device
+def _whole(lobes: LobeCones, k):
+    """What the sub-rays of cone k weigh together: less than 1 where the lobe has two cones."""
+    if lobes.part[k] == 0:
+        return 1.0
+    total = 0.0
+    for b in range(64):
+        total += np.float64(lobes.weights[k, b])
+    return total
+
+
 @uncounted
 def follow_cones(
     paths: Paths,
@@ -262,7 +275,7 @@ def follow_cones(
         copy_path(paths, np.int64(k), weight, out, m)
         copy_ray(paths.rays, np.int64(k), out.rays, m)
         out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = x, y, z
-        alpha[m] = lobes.alpha[k] * math.sqrt(min(weight, 1.0))
+        alpha[m] = lobes.alpha[k] * math.sqrt(min(weight / _whole(lobes, np.int64(k)), 1.0))
         hits.triangle[m] = -1
         hits.t[m] = math.inf
         m += 1

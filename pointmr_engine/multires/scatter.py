@@ -29,7 +29,6 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
 from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
-    ASHIKHMIN_SHIRLEY,
     GLASS,
     IOR,
     KIND_MASK,
@@ -41,7 +40,7 @@ from pointmr_engine.shading.bsdf.layout import (
     WEIGHT,
 )
 from pointmr_engine.shading.bsdf.microfacet import fresnel
-from pointmr_engine.shading.bsdf.setup import albedo, single_scattering
+from pointmr_engine.shading.bsdf.setup import passed_on, single_scattering
 from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, row3
 from pointmr_engine.shading.points import (
     RAY_DIFFUSE,
@@ -58,7 +57,8 @@ CORE, REST = (
 )  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
-CLEAR = 0.5  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
+CLEAR = 0.25  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
+SHARP = 0.3  # roughness below which they are mirrors and clear glass: where a first one bends, what is behind is wider
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
 WEAK_THROUGH = 0.5  # ... and of what passes leaves, behind which lights have been sampled
 THROUGH_ROUGH = 0.4  # of what passes leaves: what its rays stand for, as if it were this rough a lobe
@@ -92,16 +92,14 @@ def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
     base = kind & KIND_MASK
     if base <= TRANSLUCENT:
         return zero, zero
-    w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
-    share = 1.0
-    reflected, transmitted = (1.0, 1.0, 1.0), zero
-    if base != ASHIKHMIN_SHIRLEY:
+    if base == GLASS and lobes.data[k, j, IOR] < 1.0:
         cosine = dot(load3(lobes.data, k, j, NORMAL), incoming)
-        if base == GLASS and lobes.data[k, j, IOR] < 1.0:
-            reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo.film, cosine)
-        else:
-            reflected, transmitted = albedo(kind, lobes.data, k, j, tables_of_albedo, cosine)
         share = single_scattering(kind, lobes.data, k, j, tables_of_albedo, cosine)
+        reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo.film, cosine)
+    else:
+        share = 1.0
+        reflected, transmitted = passed_on(kind, lobes.data, k, j, tables_of_albedo, incoming)
+    w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
     w = (w[0] * share * t[0], w[1] * share * t[1], w[2] * share * t[2])
     r, g = zero, zero
     if base != REFRACTION:
@@ -112,10 +110,10 @@ def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
 
 
 @device
-def _all_singular(lobes, k):
-    """Whether all lobes of point k are sharp: mirrors and clear glass."""
+def _all_clear(lobes, k):
+    """Whether all lobes of point k are of mirrors and clear glass, though the view may have widened them."""
     for j in range(np.int64(lobes.count[k])):
-        if not lobes.kind[k, j] & SINGULAR_LOBE:
+        if lobes.kind[k, j] & KIND_MASK <= TRANSLUCENT or not mean_roughness(lobes, k, np.int64(j)) < SHARP:
             return False
     return True
 
@@ -206,7 +204,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 )  # fmt: skip
         if not total > 0.0:
             continue
-        divides = bounce == 0 or (_largest(t) >= CLEAR and _all_singular(lobes, np.int64(k)))
+        divides = bounce == 0 or (_largest(t) >= CLEAR and _all_clear(lobes, np.int64(k)))
         chosen = total < SPLIT or crowded or not divides
         glints = _largest(t) < glinting
         strong = STRONG if bounce == 0 else 1.0
@@ -257,7 +255,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 for _ in range(times):
                     m = _refract(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
-                        glints and bounce > 0, small[k], rough, ray,
+                        glints and bounce > 0, small[k], rough, ray, crowded,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
         if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
@@ -344,8 +342,9 @@ def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, 
 
 @device
 def _refract(
-    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, small, rough, ray
-):
+    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, small, rough, ray,
+    alone,
+):  # fmt: skip
     """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`."""
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
@@ -353,7 +352,7 @@ def _refract(
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     ior = np.float64(lobes.data[k, j, IOR])
     inverse = 1.0 / ior if ior > 0.0 else 1.0
-    bend = abs(1.0 - inverse) * rough
+    bend = 0.5 * abs(1.0 - inverse) * rough  # of a mirror that spreads what it reflects as much
     if ray:
         wo, weight, _, _ = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
@@ -368,16 +367,22 @@ def _refract(
         return m
     along = inverse * cosine - math.sqrt(square)
     d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
-    go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
+    two = singular == 0 and not small and not alone and _largest(w) > STRONG
+    wide = 0.0 if singular else min(2.0 * bend * (CORE if two else WIDE), 0.5 * WIDEST)
+    grain = wide
+    for part in range(2 if two else 1):
+        if part == 1:
+            wide *= REST / CORE
+        go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
-    if glints and rough < NARROW:
-        out.flags[m] |= SEES_LAMPS
-    out.state.spread[m] = paths.state.spread[k]
-    wide = 0.0 if singular else WIDE * bend
-    open_cone(record.cones, m, out, wide, wide, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
-    record.alpha[m] = 0.0 if singular else bend
-    record.part[m] = 0
-    record.ray[m] = small
-    for c in range(3):
-        record.normal[m, c] = 0
-    return m + 1
+        if glints and rough < NARROW:
+            out.flags[m] |= SEES_LAMPS
+        out.state.spread[m] = paths.state.spread[k]
+        open_cone(record.cones, m, out, wide, grain, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
+        record.alpha[m] = 0.0 if singular else bend
+        record.part[m] = part + 1 if two else 0
+        record.ray[m] = small
+        for c in range(3):
+            record.normal[m, c] = 0
+        m += 1
+    return m

@@ -13,7 +13,7 @@ import numpy as np
 
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading import leaves
-from pointmr_engine.shading.bsdf import ashikhmin_shirley, diffuse, microfacet, sheen, velvet
+from pointmr_engine.shading.bsdf import diffuse, glossy, sheen, velvet
 from pointmr_engine.shading.bsdf.albedo_tables import Tables, load_tables  # noqa: F401
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
@@ -267,11 +267,8 @@ def value_of(lobes, i, j, wi, wo, sampled):
     if base <= TRANSLUCENT:
         f, pdf = _diffuse_value(lobes.data, i, j, base, wi, wo)
         transmitted = base == TRANSLUCENT
-    elif base == ASHIKHMIN_SHIRLEY:
-        grey, pdf = ashikhmin_shirley.evaluate(kind, lobes.data, i, j, wi, wo)
-        f = (grey, grey, grey)
     else:
-        f, pdf, transmitted = microfacet.evaluate(kind, lobes.data, i, j, lobes.film_table, wi, wo)
+        f, pdf, transmitted = glossy.evaluate(kind, lobes.data, i, j, lobes.film_table, wi, wo)
     if not pdf > 0.0:
         return _BLACK, 0.0, transmitted
     shadow = 1.0
@@ -383,24 +380,21 @@ def sample(lobes, i, wi, u_choose, u1, u2):
         alpha = math.sqrt(
             np.float64(lobes.data[i, chosen, ALPHA_X]) * np.float64(lobes.data[i, chosen, ALPHA_Y])
         )
-        if base == ASHIKHMIN_SHIRLEY:
-            wo = ashikhmin_shirley.sample(kind, lobes.data, i, chosen, wi, u1, u2)
-        else:
-            wo, refracted, singular, f, chance = microfacet.sample(
-                kind, lobes.data, i, chosen, lobes.film_table, wi, u, u1, u2
-            )
-            normal = load3(lobes.data, i, chosen, NORMAL)
-            if chance <= 0.0 or (dot(normal, wo) < 0.0) != refracted:
+        wo, refracted, singular, f, chance = glossy.sample(
+            kind, lobes.data, i, chosen, lobes.film_table, wi, u, u1, u2
+        )
+        normal = load3(lobes.data, i, chosen, NORMAL)
+        if chance <= 0.0 or (dot(normal, wo) < 0.0) != refracted:
+            return wo, _BLACK, 0.0, LABEL_NONE, alpha, 1.0
+        if refracted:
+            eta = np.float64(lobes.data[i, chosen, IOR])
+        if singular:
+            if (dot(ng, wo) < 0.0) != refracted:
                 return wo, _BLACK, 0.0, LABEL_NONE, alpha, 1.0
-            if refracted:
-                eta = np.float64(lobes.data[i, chosen, IOR])
-            if singular:
-                if (dot(ng, wo) < 0.0) != refracted:
-                    return wo, _BLACK, 0.0, LABEL_NONE, alpha, 1.0
-                w = load3(lobes.data, i, chosen, WEIGHT)
-                value = (w[0] * f[0], w[1] * f[1], w[2] * f[2])
-                label = LABEL_SINGULAR | (LABEL_TRANSMIT if refracted else LABEL_REFLECT)
-                return wo, value, chance * sample_weight / total, label, 0.0, eta
+            w = load3(lobes.data, i, chosen, WEIGHT)
+            value = (w[0] * f[0], w[1] * f[1], w[2] * f[2])
+            label = LABEL_SINGULAR | (LABEL_TRANSMIT if refracted else LABEL_REFLECT)
+            return wo, value, chance * sample_weight / total, label, 0.0, eta
     if (dot(ng, wo) < 0.0) != refracted:
         return wo, _BLACK, 0.0, LABEL_NONE, alpha, 1.0
     d, g, t, pdf = _sum(lobes, i, wi, wo, chosen)

@@ -22,7 +22,7 @@ from pointmr_engine import (
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.instanced import sphere
-from tests.engine.small_scenes import at, quad
+from tests.engine.small_scenes import at, half_a_sky, quad
 from tests.engine.test_raytrace_light import DARK, card, image
 
 GLASS = principled("glass", base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission_weight=1.0, ior=1.5)
@@ -157,6 +157,34 @@ def test_reflections_at_the_back_of_a_pane_have_no_noise():
     assert bright.sum() > 20
     assert ours[:, bright].mean() == pytest.approx(exact[bright].mean(), rel=0.02)
     assert ours[:, bright].std(0).mean() < 0.1 * exact[bright].mean()
+
+
+def test_reflections_at_the_back_of_a_ball_have_no_noise():
+    """Its curvature widens what is seen through its front: what is behind is a little rough, and clear all the same."""
+    lamp = Light("AREA", look((-3, -3.5, 4.5), (0, 0, 0)), shape="SQUARE", size_x=3.0, power=2000.0)
+    exact, ours = exact_and_ours(Scene(Group("root", [ball(GLASS), floor()]), CAMERA, [lamp], DARK), 12)
+    assert ours[BALL].mean() == pytest.approx(exact[BALL].mean(), rel=0.02)
+    assert ours[BALL].std(0).mean() < 0.1 * exact[BALL].mean()
+
+
+@pytest.mark.parametrize("ior", [1.33, 1.5, 2.4])
+@pytest.mark.parametrize("roughness", [0.15, 0.3, 0.5])
+def test_rough_panes_blur_the_sky_as_much_as_by_random_rays(ior, roughness):
+    """One surface that refracts, before a sky of which a half shines: its edge is spread by the lobe."""
+    pane = Material(
+        "pane",
+        Graph(
+            {"g": Node("refraction", {"color": (1.0, 1.0, 1.0), "roughness": roughness, "ior": ior})},
+            surface=Link("g", "bsdf"),
+        ),
+    )
+    scene = Scene(Group("root", [card("pane", [(-9, 0, -9), (9, 0, -9), (9, 0, 9), (-9, 0, 9)], pane)]),
+                  Camera(look((0, -3, 0), (0, 0, 0))), [], half_a_sky())  # fmt: skip
+    exact = image(scene, method="distributed", samples=1024).mean((0, 2))
+    for method, most in (("raytrace", 0.015), ("forward", 0.03)):
+        found = np.mean([image(scene, method=method, seed=s) for s in range(4)], 0).mean((0, 2))
+        print("DEV", method, ior, roughness, np.abs(found - exact).mean())
+        assert np.abs(found - exact).mean() < most, method
 
 
 def test_glass_that_lets_shadow_rays_through_throws_a_light_shadow():

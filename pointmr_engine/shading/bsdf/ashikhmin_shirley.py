@@ -10,7 +10,7 @@ from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.layout import ALPHA_X, ALPHA_Y, ANISOTROPIC, NORMAL, TANGENT
 from pointmr_engine.shading.bsdf.vector import basis, combine, cross, dot, load3, normalized, to_world
 
-_SMOOTHEST = 1e-4
+_LOOKS = 4  # per side, of directions whose mean is the albedo
 
 
 @device
@@ -69,3 +69,17 @@ def sample(kind, data, i, j, wi, u1, u2):
     sine = math.sqrt(max(-math.expm1(2.0 * exponent), 0.0))
     half = to_world(sine * c, sine * s, cosine, x, y, normal)
     return normalized(combine(2.0 * dot(half, wi), half, -1.0, wi), wi)
+
+
+@device
+def albedo(kind, data, i, j, wi):
+    """What the lobe reflects of even light, seen along wi, per unit weight (grey)."""
+    normal = load3(data, i, j, NORMAL)
+    cos_ni, total = dot(normal, wi), 0.0
+    for b in range(_LOOKS):
+        for a in range(_LOOKS):
+            wo = sample(kind, data, i, j, wi, (a + 0.5) / _LOOKS, (b + 0.5) / _LOOKS)
+            cos_no = dot(normal, wo)
+            if cos_no > 0.0:
+                total += min(cos_no / max(cos_ni, 1e-6), 1.0)  # the value over its density
+    return total / (_LOOKS * _LOOKS)

@@ -7,11 +7,13 @@ import math
 import numpy as np
 
 from pointmr_engine.numerics.jit import device
+from pointmr_engine.shading.bsdf import ashikhmin_shirley
 from pointmr_engine.shading.bsdf.albedo_tables import ONLY, lookup2, lookup3
 from pointmr_engine.shading.bsdf.fresnel import dielectric_average, f0_of_ior, f82, f82_average, remap
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
+    ASHIKHMIN_SHIRLEY,
     BECKMANN,
     BUMP_CORRECTION,
     BUMPED,
@@ -188,6 +190,18 @@ def single_scattering(kind, data, i, j, tables, cos_ni):
         z = math.sqrt(abs((ior - 1.0) / (ior + 1.0)))
         return lookup3(tables.glass, side, z, cos_ni, roughness)
     return lookup2(tables.ggx, ONLY, cos_ni, roughness)
+
+
+@device
+def passed_on(kind, data, i, j, tables, wi):
+    """(reflected rgb, transmitted rgb) of even light that a glossy lobe of weight 1 sends along wi after one bounce."""
+    if kind & KIND_MASK == ASHIKHMIN_SHIRLEY:
+        a = ashikhmin_shirley.albedo(kind, data, i, j, wi)
+        return (a, a, a), (0.0, 0.0, 0.0)
+    cos_ni = dot(load3(data, i, j, NORMAL), wi)
+    reflected, transmitted = albedo(kind, data, i, j, tables, cos_ni)
+    share = single_scattering(kind, data, i, j, tables, cos_ni)
+    return scale(share, reflected), scale(share, transmitted)
 
 
 @device

@@ -1,4 +1,4 @@
-"""Microfacet lobes as wide as the normals below them differ: half vectors vary as the normals do."""
+"""Glossy lobes as wide as the normals below them differ: half vectors vary as the normals do."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
-    ASHIKHMIN_SHIRLEY,
     BECKMANN,
     KIND_MASK,
     SINGULAR_ALPHA_SQUARED,
@@ -22,15 +21,14 @@ FLATTEST = 1e-5  # squared roughness that is not worth telling from none, nor fr
 
 
 @device
-def is_microfacet(kind):
-    """Whether a lobe of this kind has a roughness of microfacets."""
-    base = kind & KIND_MASK
-    return base > TRANSLUCENT and base != ASHIKHMIN_SHIRLEY
+def is_glossy(kind):
+    """Whether a lobe of this kind has a roughness."""
+    return kind & KIND_MASK > TRANSLUCENT
 
 
 @device
 def set_roughness(lobes, i, j, x, y, extra):
-    """Give the microfacet lobe j of point i the roughness x, y (GGX alpha) and `extra` squared roughness."""
+    """Give the glossy lobe j of point i the roughness x, y (GGX alpha) and `extra` squared roughness."""
     x, y = min(math.sqrt(x * x + extra), 1.0), min(math.sqrt(y * y + extra), 1.0)
     lobes.data[i, j, ALPHA_X] = x
     lobes.data[i, j, ALPHA_Y] = y
@@ -42,7 +40,7 @@ def set_roughness(lobes, i, j, x, y, extra):
 
 @uncounted
 def widen_lobes(lobes, rows, variance):
-    """Widen the microfacet lobes of the points `rows` (m,) int64 by the variance (m,) float32 of slopes below them.
+    """Widen the glossy lobes of the points `rows` (m,) int64 by the variance (m,) float32 of slopes below them.
 
     A Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
     """
@@ -52,7 +50,7 @@ def widen_lobes(lobes, rows, variance):
             continue
         i = rows[k]
         for j in range(np.int64(lobes.count[i])):
-            if is_microfacet(lobes.kind[i, j]):
+            if is_glossy(lobes.kind[i, j]):
                 if extra > np.float64(lobes.data[i, j, ALPHA_X]) * np.float64(lobes.data[i, j, ALPHA_Y]):
                     lobes.kind[i, j] = lobes.kind[i, j] | BECKMANN
                 set_roughness(
