@@ -15,9 +15,10 @@ from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
 from pointmr_engine.shading.bsdf.widening import widen_lobes
-from pointmr_engine.shading.footprint_mean import footprint_means, slope_variance
+from pointmr_engine.shading.footprint_mean import OBLIQUE, footprint_means, slope_variance, stretched_means
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_SINGULAR
 from pointmr_engine.shading.program import Program
+from pointmr_engine.shading.values import dot
 
 
 def allocate_view(n: int) -> View:
@@ -110,30 +111,47 @@ class Shader:
             if not len(rows):
                 continue
             points = self._gather(rays, hits, frames, rows, program.needs, state, m)
-            means = self._means(program, rays, hits, frames, rows, state, m) if program.fine_needs else None
+            means = self._means(program, rays, hits, frames, view, rows, state, m)
             for leaf in program.evaluate(points, means):
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
-            if means is not None and program.fine_normals:
-                seen, values = means
+            if means and program.fine_normals:
+                seen, values = means[0]
                 normals = [values[name] for name in program.fine_normals]
                 widen_lobes(out, rows[seen], slope_variance(normals))
 
-    def _means(self, program: Program, rays, hits, frames, rows, state, material):
-        """Fine textures averaged over the footprints of what is seen directly, in mirrors or through glass."""
+    def _means(self, program: Program, rays, hits, frames, view, rows, state, material) -> list:
+        """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones, and
+        images where it is seen obliquely.
+        """
+        if not (program.fine_needs or program.image_needs):
+            return []
         seen = np.flatnonzero(
             ((state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0)
             & ((state.width[rows] > 0) | (state.spread[rows] > 0))
         )
         if not len(seen):
-            return None
+            return []
 
-        def points(index: np.ndarray):
-            return self._gather(rays, hits, frames, index, program.fine_needs, state, material)
+        def points(needs: frozenset[str]):
+            return lambda index: self._gather(rays, hits, frames, index, needs, state, material)
 
-        return seen, footprint_means(
-            program.fine_values, points, rows[seen], program.fine_reads, self.seed, program.fine_normals,
-            program.fine_columns,
-        )  # fmt: skip
+        means = []
+        if program.fine_needs:
+            found = footprint_means(
+                program.fine_values, points(program.fine_needs), rows[seen], program.fine_reads, self.seed,
+                program.fine_normals, program.fine_columns,
+            )  # fmt: skip
+            means.append((seen, found))
+        if program.image_needs:
+            cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
+            oblique = np.flatnonzero(cosine < OBLIQUE)
+            if len(oblique):
+                found = stretched_means(
+                    program.image_values, points(program.image_needs), rows[seen[oblique]], program.image_reads,
+                    cosine[oblique],
+                )  # fmt: skip
+                means.append((seen[oblique], found))
+        return means
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

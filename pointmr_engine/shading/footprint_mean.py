@@ -3,6 +3,9 @@
 A checker or a noise has no stored levels as an image has. Seen from afar, one point of it stands for nothing: what a
 material takes from it is evaluated at several points of the footprint, in the plane of the surface, and averaged
 before shading, as prefiltered texels are.
+
+Pyramids of images filter squares. Where a surface is seen obliquely, its footprint is longer than wide: images are read
+at places along it, as wide as it is wide.
 """
 
 from __future__ import annotations
@@ -20,6 +23,8 @@ GRAZING = 0.05  # cosine below which footprints on a surface grow no further
 ALIKE = 0.1  # of their mean: largest difference between the first places' values that needs no others
 FAINT = 0.01  # added to that mean
 FIRST, ALL = 4, 16  # places of a footprint
+OBLIQUE = 0.6  # cosine below which images are read at several places
+FAR = 0.2  # ... and at all of them, where the first ones differ
 OF_FEW = FIRST / (FIRST - 1)  # times the variance about the mean of so few
 
 # the first points of Sobol's sequence: any 4 and all 16 are stratified
@@ -44,17 +49,50 @@ def footprint_means(
     """
     first = _at_places(run, gather, rows, needs, seed, 0, FIRST)
     mean = {name: v.mean(0) for name, v in first.items()}
-    differs = np.zeros(len(rows), np.bool_)
-    for name in first.keys() - few:
-        v = first[name]
-        apart = v.max(0) - v.min(0) > ALIKE * (np.abs(mean[name]) + FAINT)
-        differs |= apart if apart.ndim == 1 else apart.any(1)
-    more = np.flatnonzero(differs)
+    more = np.flatnonzero(_differs(first, mean, first.keys() - few))
     if len(more):
         others = _at_places(rest or run, gather, rows[more], needs, seed, FIRST, ALL)
         for name, v in others.items():
             mean[name][more] = (mean[name][more] * FIRST + v.sum(0)) / np.float32(ALL)
     return mean
+
+
+def stretched_means(
+    run: Callable[[SurfacePoints], dict],
+    gather: Callable[[np.ndarray], SurfacePoints],
+    rows: np.ndarray,
+    needs: frozenset[str],
+    cosine: np.ndarray,
+) -> dict:
+    """`footprint_means` of what images decide, along footprints: at each place they are filtered over a square.
+
+    cosine (n,): to the viewers, all below OBLIQUE.
+    """
+
+    def along(index: np.ndarray, count: int) -> dict:
+        points = gather(rows[index])
+        _, b = _axes(points)
+        stretch = 1.0 - np.maximum(cosine[index], GRAZING).astype(np.float64)  # without the places' own width
+        places = np.linspace(-0.5, 0.5, count)[:, None, None]
+        return _values_at(run, points, places * (stretch[:, None] * b), needs)
+
+    first = along(np.arange(len(rows)), FIRST)
+    mean = {name: v.mean(0) for name, v in first.items()}
+    more = np.flatnonzero((cosine < FAR) & _differs(first, mean, first.keys()))
+    if len(more):
+        for name, v in along(more, ALL).items():
+            mean[name][more] = v.mean(0)
+    return mean
+
+
+def _differs(first: dict, mean: dict, names) -> np.ndarray:
+    """(n,) bool: whether the first places' values (FIRST, n, ...) differ, of any of the names."""
+    differs = np.zeros(len(next(iter(mean.values()))), np.bool_)
+    for name in names:
+        v = first[name]
+        apart = v.max(0) - v.min(0) > ALIKE * (np.abs(mean[name]) + FAINT)
+        differs |= apart if apart.ndim == 1 else apart.any(1)
+    return differs
 
 
 def slope_variance(means: list[np.ndarray]) -> np.ndarray:
@@ -67,13 +105,17 @@ def slope_variance(means: list[np.ndarray]) -> np.ndarray:
 
 def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int) -> dict:
     """Values (end - begin, n, ...) at places begin..end of the footprints of points `rows`, all in one batch."""
-    count, n = end - begin, len(rows)
     points = gather(rows)
     a, b = _axes(points)
     u, v = _turns(points.position, seed)
     u = (u + _U[begin:end, None]) % 1 - 0.5
     v = (v + _V[begin:end, None]) % 1 - 0.5
-    offset = u[..., None] * a + v[..., None] * b
+    return _values_at(run, points, u[..., None] * a + v[..., None] * b, needs)
+
+
+def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs) -> dict:
+    """Values (count, n, ...) at the n points moved by offset (count, n, 3), all in one batch."""
+    count, n = offset.shape[:2]
     moved = moved_points(points, offset.reshape(-1, 3), needs)
     # far outside a triangle its normals go anywhere; how the surface itself bends is not a matter of textures
     for name in ("normal", "smooth_normal"):

@@ -6,6 +6,7 @@ and says what the program needs of a point. `Program.evaluate` then runs every r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,6 +121,17 @@ def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> tuple[list[Slot], l
     )
 
 
+def image_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
+    """The sources of columns that images decide, filtered over footprints."""
+    images: list[bool] = []
+    for step in steps:
+        slots = [s for s in step.inputs.values() if isinstance(s, Slot)]
+        below = not step.type.differenced and any(images[s.step] for s in slots)
+        images.append(step.type.footprint is not None or below)
+    columns = [s for leaf in leaves for _, _, s in leaf.columns]
+    return [s for s in columns if isinstance(s, Slot) and images[s.step]]
+
+
 def _may_be_sharp(leaf: LeafPlan) -> bool:
     """Whether a leaf's microfacets may be smoother than BLUNT, as far as its constants tell."""
     names = COLUMNS[leaf.kind]
@@ -151,7 +163,8 @@ class Program:
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
     transparency_needs, emission_needs: the same for `transparency` and `emission`. fine_reads: for `fine_values`;
         fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine. fine_normals: which
-        of these values are normals, whose means are the shorter the more they differ.
+        of these values are normals, whose means are the shorter the more they differ. image_reads, image_needs: the
+        same for `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     opaque: light never passes straight through; emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never
@@ -187,6 +200,12 @@ class Program:
         fine = columns + normals
         self._fine_plan = Plan(steps, fine) if fine else None
         self._column_plan = Plan(steps, columns)
+        images = image_slots(steps, leaves) if filtered and kind == "surface" else []
+        images = [s for s in images if s not in columns]
+        self._image_plan = Plan(steps, images)
+        self._image_names = {(s.step, s.output) for s in images}
+        self.image_reads: frozenset[str] = self._image_plan.needs
+        self.image_needs: frozenset[str] = self.image_reads | NEEDS if images else frozenset()
         self._column_names = {(s.step, s.output) for s in columns}
         self.fine_normals: frozenset = frozenset((s.step, s.output) for s in normals)
         self.needs: frozenset[str] = self._plan.needs
@@ -203,15 +222,15 @@ class Program:
             self.constant_emission = tuple(float(v) for v in _sum(emission, {}, 1)[0])
         self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves)
 
-    def evaluate(self, points: SurfacePoints, means: tuple[np.ndarray, dict] | None = None) -> list[Leaf]:
+    def evaluate(self, points: SurfacePoints, means: Sequence[tuple[np.ndarray, dict]] = ()) -> list[Leaf]:
         """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies. Blocks are read-only.
 
-        means: rows (n,) of the points and what takes the place of `fine_values` there, where that was averaged.
+        means: rows (n,) of the points and what takes the place of `fine_values` or `image_values` there, where that
+        was averaged.
         """
         with np.errstate(all="ignore"):
             memo = self._plan.run(points)
-        if means is not None:
-            rows, values = means
+        for rows, values in means:
             for name, value in values.items():
                 memo[name] = memo[name].copy()
                 memo[name][rows] = normalize(value) if name in self.fine_normals else value
@@ -228,6 +247,12 @@ class Program:
         with np.errstate(all="ignore"):
             memo = self._column_plan.run(points)
         return {name: memo[name] for name in self._column_names}
+
+    def image_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
+        """What images decide and nothing fine does, by names of its own; reads `image_reads`."""
+        with np.errstate(all="ignore"):
+            memo = self._image_plan.run(points)
+        return {name: memo[name] for name in self._image_names}
 
     def transparency(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32 share of light that passes straight through at the points themselves, for shadow rays: what

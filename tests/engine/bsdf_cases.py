@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.shading import leaves, lobes
+from pointmr_engine.shading.bsdf import ashikhmin_shirley
 from pointmr_engine.shading.leaves import COLUMNS, Leaf
 
 PRINCIPLED_DEFAULTS = {
@@ -166,3 +167,9 @@ def sphere(rows: int) -> tuple[np.ndarray, float]:
     z, phi = (a.ravel() for a in np.meshgrid(z, phi))
     sine = np.sqrt(1.0 - z * z)
     return np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=1), 4.0 * math.pi / (2 * rows * rows)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def albedo_of_phong(lb, wi):
+    """What lobe 0 of point 0, by Ashikhmin and Shirley, reflects of even light along wi (3,) float64."""
+    return ashikhmin_shirley.albedo(lb.kind[0, 0], lb.data, 0, 0, (wi[0], wi[1], wi[2]))

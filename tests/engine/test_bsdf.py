@@ -6,7 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from bsdf_cases import ROUGH, evaluate, even_numbers, make_block, make_lobes, sample, sphere, viewer
+from bsdf_cases import (
+    ROUGH,
+    albedo_of_phong,
+    evaluate,
+    even_numbers,
+    make_block,
+    make_lobes,
+    sample,
+    sphere,
+    viewer,
+)
 
 from pointmr_engine.shading import leaves, lobes
 from pointmr_engine.shading.bsdf import layout
@@ -61,6 +71,18 @@ def test_samples_follow_the_density_and_integrate_the_bsdf(name, cosine):
             expected = (field[:, :3] * test(wo[:, axis])[:, None]).sum(axis=0) * solid
             found = (throughput * test(out[:, axis])[:, None]).mean(axis=0)
             assert found == pytest.approx(expected, abs=1e-2)
+
+
+@pytest.mark.parametrize("cosine", VIEWS)
+@pytest.mark.parametrize("roughness", [0.1, 0.4, 0.8])
+def test_gloss_of_ashikhmin_and_shirley_knows_its_albedo(roughness, cosine):
+    wi = viewer(cosine)
+    lb = make_lobes(leaves.GLOSSY, wi, {"roughness": roughness}, distribution="ashikhmin_shirley")
+    out, _ = sample(lb, wi, even_numbers(40_000), 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exact = np.where(out[:, 6] > 0.0, out[:, 3] / out[:, 6], 0.0).mean()
+    found = albedo_of_phong(lb, np.asarray(wi, np.float64))
+    assert found * lb.data[0, 0, layout.WEIGHT] == pytest.approx(exact, abs=0.02)
 
 
 @pytest.mark.parametrize("name", ROUGH)

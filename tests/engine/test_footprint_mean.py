@@ -10,11 +10,20 @@ from hypothesis import strategies as st
 from pointmr_engine import Camera, Material, RenderSettings, Scene, render, uniform_world
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import Group
+from pointmr_engine.scene.texture import Image
 from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 from pointmr_engine.shading.bsdf.layout import ALPHA_X, BECKMANN, SINGULAR_LOBE, View
 from pointmr_engine.shading.bsdf.widening import widen_lobes
 from pointmr_engine.shading.differentials import moved_points
-from pointmr_engine.shading.footprint_mean import ALL, FIRST, GRAZING, NEEDS, footprint_means, slope_variance
+from pointmr_engine.shading.footprint_mean import (
+    ALL,
+    FIRST,
+    GRAZING,
+    NEEDS,
+    footprint_means,
+    slope_variance,
+    stretched_means,
+)
 from pointmr_engine.shading.leaves import GLOSSY, Leaf
 from pointmr_engine.shading.lobes import allocate, append, reset
 from pointmr_engine.shading.points import SurfacePoints
@@ -108,6 +117,52 @@ def test_what_is_even_is_asked_at_a_few_places_only():
     position = np.array([[k + 0.5, 0.5] for k in range(9)] + [[3.0, 1.0]])
     footprint_means(run, taken(plane_points(position, 0.2)), np.arange(10), program.fine_needs)
     assert counts == [10 * FIRST, ALL - FIRST]
+
+
+def striped(*more: tuple[str, Node]) -> Graph:
+    """An image of black and white stripes, ten to a metre of x, whose edges the pyramid knows exactly."""
+    pixels = np.zeros((64, 64, 4), np.float32)
+    pixels[:, 32:, :3], pixels[..., 3] = 1.0, 1.0
+    nodes = {
+        "c": Node("texture_coordinate"),
+        "m": Node("mapping", {"vector": Link("c", "object"), "scale": (5.0, 5.0, 5.0)}),
+        "t": Node(
+            "image_texture", {"vector": Link("m", "vector")}, {"image": Image("stripes", pixels, "Linear")}
+        ),
+        "d": Node("diffuse", {"color": Link("t", "color")}),
+    } | dict(more)
+    return Graph(nodes, surface=Link("d", "bsdf"))
+
+
+@pytest.mark.parametrize("cosine", [0.5, 0.2, 0.06])
+def test_images_are_averaged_along_oblique_footprints(cosine):
+    """Stripes across the view: the mean of a long footprint, where a square of its width would show black or white."""
+    width, sine = 0.01, np.sqrt(1 - cosine**2)
+    program = compile_graph(striped())
+    points = plane_points(np.random.default_rng(5).random((500, 2)), width, (sine, 0.0, cosine))
+    rows = np.arange(500)
+    means = stretched_means(
+        program.image_values, taken(points), rows, program.image_needs, np.full(500, cosine, np.float32)
+    )
+    (found,) = means.values()
+    x = points.position[:, 0, None] + width / cosine * (np.arange(400) + 0.5 - 200) / 400
+    exact = ((5.0 * x) % 1.0 >= 0.5).mean(1)
+    (square,) = program.image_values(points).values()
+    rms, before = (np.sqrt(((v[:, 0] - exact) ** 2).mean()) for v in (found, square))
+    assert rms < 0.06 and rms < 0.5 * before
+
+
+def test_means_of_images_and_of_fine_textures_are_apart():
+    """What an image alone decides is no fine texture; what is fine, and takes an image, is averaged but once."""
+    assert compile_graph(striped()).fine_needs == frozenset()
+    assert compile_graph(striped(), filtered=False).image_needs == frozenset()
+    assert compile_graph(checkered(1.0, "diffuse")).image_needs == frozenset()
+    noisy = striped(
+        ("n", Node("noise_texture", {"vector": Link("t", "color")})),
+        ("d", Node("diffuse", {"color": Link("n", "color")})),
+    )
+    program = compile_graph(noisy)
+    assert program.fine_needs >= NEEDS and program.image_needs == frozenset()
 
 
 @pytest.mark.parametrize("cosine", [1.0, 0.5, 0.1, 0.01])

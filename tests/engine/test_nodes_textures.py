@@ -68,6 +68,20 @@ def test_wide_footprints_average_in_linear_light():
     assert found[:3] == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.parametrize("alpha", [1.0, 0.5])
+def test_coarse_levels_are_read_in_linear_light(alpha):
+    """Black and white stripes, four texels wide, read at footprints of a stripe: wherever they lie, half is light."""
+    pixels = np.zeros((64, 64, 4), np.uint8)
+    pixels[:, (np.arange(64) // 4) % 2 == 1, :3] = 255
+    pixels[..., 3] = round(255 * alpha)
+    texture = Texture(Image("stripes", pixels, "sRGB"))
+    uv = np.random.default_rng(3).random((4000, 2)).astype(np.float32)
+    found = texture.look_up(uv, np.full(1, 4 / 64, np.float32), unassociate=True)
+    assert found[:, :3].std() > 0.1  # that stripes are seen
+    assert found[:, :3].mean() == pytest.approx(0.5, abs=0.01)
+    assert found[:, 3] == pytest.approx(pixels[0, 0, 3] / 255, abs=1e-3)
+
+
 @pytest.mark.parametrize("size", [(16, 16), (5, 7), (1, 9), (33, 2)])
 def test_pyramid_keeps_the_mean(size):
     image = picture(*size)

@@ -46,6 +46,50 @@ def srgb_to_linear(x):
     return ((x + 0.055) / 1.055) ** 2.4
 
 
+# what bytes of sRGB decode to
+_OF_BYTES = np.array(
+    [c / 12.92 if c < 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in np.arange(256) / 255]
+)
+
+
+@uncounted
+def add_decoded(texels, offset, width, height, x, y, extension, flags, scale, weight, out):
+    """Add weight times the decoded texel (x, y) of an sRGB level to out (4,), times its alpha with UNASSOCIATE."""
+    x = wrap_texel(x, width, extension)
+    y = wrap_texel(y, height, extension)
+    if x < 0 or y < 0:
+        return
+    k = offset + 4 * (y * width + x)
+    alpha = texels[k + 3] * scale
+    straight = (flags & UNASSOCIATE) != 0 and alpha > 0.0 and alpha < 1.0
+    for c in range(3):
+        if straight:
+            out[c] += weight * alpha * srgb_to_linear(texels[k + c] * scale / alpha)
+        elif scale < 1.0:
+            out[c] += weight * _OF_BYTES[int(texels[k + c])]
+        else:
+            out[c] += weight * srgb_to_linear(texels[k + c])
+    out[3] += weight * alpha
+
+
+@uncounted
+def lookup_mean(texels, levels, level, u, v, extension, flags, scale, out):
+    """As `lookup_level`, of a coarser level than the first of an sRGB image: means of light are taken of light."""
+    offset, width, height = levels[level, 0], levels[level, 1], levels[level, 2]
+    for c in range(4):
+        out[c] = 0.0
+    x, y = u * width, v * height
+    x0, y0 = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
+    fx, fy = x - 0.5 - x0, y - 0.5 - y0
+    for j in range(2):
+        for i in range(2):
+            weight = (fx if i else 1.0 - fx) * (fy if j else 1.0 - fy)
+            add_decoded(texels, offset, width, height, x0 + i, y0 + j, extension, flags, scale, weight, out)
+    if flags & UNASSOCIATE and out[3] > 0.0:
+        for c in range(3):
+            out[c] /= out[3]
+
+
 @uncounted
 def b_spline(f, k):
     """Weight of the k-th (0..3) of four texels for a point at fraction f between the second and the third."""
@@ -75,6 +119,9 @@ def add_cubic(texels, offset, width, height, x, y, extension, out):
 @uncounted
 def lookup_level(texels, levels, level, u, v, extension, flags, scale, out):
     """Premultiplied scene-linear RGBA of one level at (u, v), into out (4,)."""
+    if level > 0 and flags & SRGB and not flags & CLOSEST:
+        lookup_mean(texels, levels, level, u, v, extension, flags, scale, out)
+        return
     offset, width, height = levels[level, 0], levels[level, 1], levels[level, 2]
     for c in range(4):
         out[c] = 0.0
@@ -106,7 +153,7 @@ def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
 
     texels: flat float32 or uint8, all levels; levels (k, 3) int64: offset, width, height of each, finest first.
     footprint (n or 1,) float32: width of the filter in units of uv; 0 takes the finest level. scale brings texels to
-    0..1. A level is decoded and, with UNASSOCIATE, divided by alpha after its interpolation.
+    0..1. The finest level is decoded and, with UNASSOCIATE, divided by alpha after its interpolation, as in Cycles.
     """
     n = uv.shape[0]
     last = levels.shape[0] - 1
