@@ -67,7 +67,7 @@ LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lob
 
 
 @device
-def _from_inside(lobes, k, j, film, cosine):
+def _from_inside(lobes, k, j, tables, cosine):
     """(reflected rgb, transmitted rgb) of glass seen from inside, where the tables of albedo know no total reflection.
 
     The mean over facets that lean as a rough surface's do, so that no side is 0 to which one of them may send light.
@@ -78,9 +78,9 @@ def _from_inside(lobes, k, j, film, cosine):
     for i in range(LEANS):
         lean = rough * LEAN * (2.0 * i / (LEANS - 1) - 1.0)
         c = min(max((cosine + lean * sine) / math.sqrt(1.0 + lean * lean), 1e-4), 1.0)
-        a, b, _ = fresnel(lobes.kind[k, j], lobes.data, k, j, film, c)
+        a, b, _ = fresnel(lobes.kind[k, j], lobes.data, k, j, tables.film, c)
         r, g = (r[0] + a[0], r[1] + a[1], r[2] + a[2]), (g[0] + b[0], g[1] + b[1], g[2] + b[2])
-    n = 1.0 / LEANS
+    n = single_scattering(lobes.kind[k, j], lobes.data, k, j, tables, cosine) / LEANS
     return (n * r[0], n * r[1], n * r[2]), (n * g[0], n * g[1], n * g[2])
 
 
@@ -94,13 +94,11 @@ def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
         return zero, zero
     if base == GLASS and lobes.data[k, j, IOR] < 1.0:
         cosine = dot(load3(lobes.data, k, j, NORMAL), incoming)
-        share = single_scattering(kind, lobes.data, k, j, tables_of_albedo, cosine)
-        reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo.film, cosine)
+        reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo, cosine)
     else:
-        share = 1.0
         reflected, transmitted = passed_on(kind, lobes.data, k, j, tables_of_albedo, incoming)
     w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
-    w = (w[0] * share * t[0], w[1] * share * t[1], w[2] * share * t[2])
+    w = (w[0] * t[0], w[1] * t[1], w[2] * t[2])
     r, g = zero, zero
     if base != REFRACTION:
         r = (w[0] * reflected[0], w[1] * reflected[1], w[2] * reflected[2])

@@ -72,9 +72,10 @@ def stretched_means(
     def along(index: np.ndarray, count: int) -> dict:
         points = gather(rows[index])
         _, b = _axes(points)
-        stretch = 1.0 - np.maximum(cosine[index], GRAZING).astype(np.float64)  # without the places' own width
+        steep = np.maximum(cosine[index], GRAZING).astype(np.float64)
         places = np.linspace(-0.5, 0.5, count)[:, None, None]
-        return _values_at(run, points, places * (stretch[:, None] * b), needs)
+        # places have their own width, which is that of the whole footprint across the view
+        return _values_at(run, points, places * ((1.0 - steep)[:, None] * b), needs, np.sqrt(steep))
 
     first = along(np.arange(len(rows)), FIRST)
     mean = {name: v.mean(0) for name, v in first.items()}
@@ -113,10 +114,16 @@ def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end:
     return _values_at(run, points, u[..., None] * a + v[..., None] * b, needs)
 
 
-def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs) -> dict:
-    """Values (count, n, ...) at the n points moved by offset (count, n, 3), all in one batch."""
+def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs, narrower=None) -> dict:
+    """Values (count, n, ...) at the n points moved by offset (count, n, 3), all in one batch.
+
+    narrower (n,): of the footprints of UVs, which are as large as those on the oblique surface.
+    """
     count, n = offset.shape[:2]
     moved = moved_points(points, offset.reshape(-1, 3), needs)
+    if narrower is not None:
+        scale = np.tile(narrower.astype(np.float32), count)
+        moved.uv_footprints = {k: v * scale for k, v in moved.uv_footprints.items()}
     # far outside a triangle its normals go anywhere; how the surface itself bends is not a matter of textures
     for name in ("normal", "smooth_normal"):
         if getattr(moved, name) is not None:

@@ -181,7 +181,7 @@ def test_rough_panes_blur_the_sky_as_much_as_by_random_rays(ior, roughness):
     scene = Scene(Group("root", [card("pane", [(-9, 0, -9), (9, 0, -9), (9, 0, 9), (-9, 0, 9)], pane)]),
                   Camera(look((0, -3, 0), (0, 0, 0))), [], half_a_sky())  # fmt: skip
     exact = image(scene, method="distributed", samples=1024).mean((0, 2))
-    for method, most in (("raytrace", 0.018), ("forward", 0.015)):
+    for method, most in (("raytrace", 0.018), ("forward", 0.02)):
         found = np.mean([image(scene, method=method, seed=s) for s in range(4)], 0).mean((0, 2))
         assert np.abs(found - exact).mean() < most, method
 
