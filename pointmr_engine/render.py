@@ -190,10 +190,15 @@ def _compile_surfaces(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
 
     clock.phase("compiling materials")
     geometry = compile_geometry(scene)
+    warnings: list[str] = []
+    if any(m is not None and m.moves_vertices for m in geometry.materials):
+        from pointmr_engine.displacement import displaced
+
+        geometry, warnings = displaced(geometry)
     plain = Material("no material")
-    programs, warnings = [], []
+    programs = []
     for material in geometry.materials:
-        program = compile_graph((material or plain).graph, filtered=filtered)
+        program = compile_graph((material or plain).surface_graph, filtered=filtered)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
     return Compiled(geometry, programs, None, None, None, warnings)

@@ -67,8 +67,6 @@ class MaterialSync:
             graph = plain_surface(tuple(material.diffuse_color)[:3])
         settings = getattr(material, "cycles", None)
         method = getattr(material, "displacement_method", "BUMP")
-        if method != "BUMP" and graph.displacement is not None:
-            self._report("INFO", f"material '{name}': displacement is shown as bump")
         return Material(
             name,
             graph,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -144,6 +144,13 @@ def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
         if kind in ("uv", "tangent", "attribute"):
             layers.layer(geometry, kind, name)
     return geometry
+
+
+def with_parts(geometry: Geometry, parts: list[Mesh]) -> Geometry:
+    """The same scene with other meshes in the places of its parts, of as many triangles and the same materials."""
+    made = replace(geometry, parts=parts, shapes=[], materials=[], kept=list(geometry.kept), layers={})
+    made.tables = _part_tables(made)
+    return made
 
 
 def _identity(array: np.ndarray) -> tuple:

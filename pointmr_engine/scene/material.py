@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pointmr_engine.scene.graph import Graph, Link, Node
 
@@ -12,7 +12,8 @@ class Material:
     """A surface material. Identity is the object: share it between meshes.
 
     pass_index feeds the Material Index pass. emission_sampling: "AUTO", "NONE", "FRONT", "BACK", "FRONT_BACK",
-    which sides of an emissive surface are sampled as a light.
+    which sides of an emissive surface are sampled as a light. bump_method: what the graph's displacement does: "BUMP"
+    changes normals, "DISPLACEMENT" moves vertices, "BOTH" both; "NONE": bumps are not corrected either.
     """
 
     name: str
@@ -20,6 +21,18 @@ class Material:
     pass_index: int = 0
     emission_sampling: str = "AUTO"
     bump_method: str = "BUMP"
+
+    @property
+    def moves_vertices(self) -> bool:
+        """Whether meshes of this material are displaced."""
+        return self.graph.displacement is not None and self.bump_method in ("DISPLACEMENT", "BOTH")
+
+    @property
+    def surface_graph(self) -> Graph:
+        """The graph that shades: its displacement is no bump where vertices have been moved by it."""
+        if self.moves_vertices and self.bump_method == "DISPLACEMENT":
+            return replace(self.graph, displacement=None)
+        return self.graph
 
 
 def principled(name: str = "Material", **inputs) -> Material:

@@ -1,0 +1,144 @@
+"""True displacement: vertices moved by their materials, before hierarchies are built over them.
+
+What Cycles does without adaptive subdivision: each vertex moves once, by the material of its first triangle, as far as
+the graph says there. So detail is what the mesh has vertices for; a Subdivision Surface modifier gives it more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pointmr_engine.hierarchy.geometry import Geometry, with_parts
+from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.scene.material import Material
+from pointmr_engine.scene.mesh import Mesh
+from pointmr_engine.shading.displacement import Displacement
+
+
+def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
+    """(the geometry with displaced meshes in their parts' places, warnings); itself where nothing is displaced.
+
+    Textures are read unfiltered, in the mesh's own space: "world" and "object" displacement are the same there.
+    Materials of method "DISPLACEMENT" shade the moved surface, those of "BOTH" the resting one with their displacement
+    as bump.
+    """
+    programs: dict[int, Displacement] = {}
+    warnings: list[str] = []
+    for material in geometry.materials:
+        if material is not None and material.moves_vertices:
+            program = programs[id(material)] = Displacement(material.graph)
+            warnings += [f"material '{material.name}', displacement: {w}" for w in program.warnings]
+    if not programs:
+        return geometry, warnings
+    parts, made = list(geometry.parts), {}
+    for p, mesh in enumerate(parts):
+        if any(id(m) in programs for m in mesh.materials):
+            # parts that share arrays and materials go on sharing
+            key = (
+                *(id(a) for a in (mesh.positions, mesh.triangles, mesh.normals, mesh.material_index)),
+                mesh.materials,
+            )
+            if key not in made:
+                made[key] = _displace(geometry, p, mesh, programs, warnings)
+            positions, normals = made[key]
+            parts[p] = replace(
+                mesh, positions=positions, normals=normals, generated=geometry.tables.generated[p]
+            )
+    return with_parts(geometry, parts), warnings
+
+
+def _displace(geometry: Geometry, p: int, mesh: Mesh, programs: dict, warnings: list[str]):
+    """(positions, normals) of part p, moved."""
+    slots = np.zeros(len(mesh.triangles), np.int64)
+    if mesh.material_index is not None and len(mesh.materials) > 1:
+        slots = np.clip(mesh.material_index, 0, len(mesh.materials) - 1)
+    moves = np.array([id(m) in programs for m in mesh.materials])[slots]
+    corners = np.flatnonzero(np.repeat(moves, 3))
+    vertices, first = np.unique(
+        np.ascontiguousarray(mesh.triangles, np.int64).ravel()[corners], return_index=True
+    )
+    corner = corners[first]  # of each vertex, the first in a triangle that moves it
+    offset = np.zeros((len(vertices), 3))
+    for slot, material in enumerate(mesh.materials):
+        rows = np.flatnonzero(slots[corner // 3] == slot)
+        if id(material) in programs and len(rows):
+            offset[rows] = _offsets(geometry, p, corner[rows], programs[id(material)])
+    lost = ~np.isfinite(offset).all(1)
+    if lost.any():
+        warnings.append(
+            f"mesh '{mesh.name}': {int(lost.sum())} vertices have no finite displacement; they stay"
+        )
+        offset[lost] = 0.0
+    positions = mesh.positions.copy()
+    positions[vertices] += offset.astype(positions.dtype)
+    resting = np.array([not _shades_moved(m) for m in mesh.materials])[slots]
+    return positions, _normals(mesh, positions, resting)
+
+
+def _shades_moved(material: Material | None) -> bool:
+    """Whether normals are those of the moved surface."""
+    return material is not None and material.moves_vertices and material.bump_method == "DISPLACEMENT"
+
+
+def _offsets(geometry: Geometry, p: int, corner: np.ndarray, program: Displacement) -> np.ndarray:
+    """(n, 3) of the vertices at corners (n,) of part p, 3 to a triangle."""
+    n = len(corner)
+    triangle = corner // 3 + int(geometry.tables.first_triangle[p])
+    points = points_at(
+        geometry, np.full(n, p, np.int32), triangle.astype(np.int32), (corner % 3 == 1).astype(np.float32),
+        (corner % 3 == 2).astype(np.float32), np.broadcast_to(np.eye(4)[:3], (n, 3, 4)), program.needs,
+    )  # fmt: skip
+    return program.offset(points)
+
+
+def _normals(mesh: Mesh, positions: np.ndarray, resting: np.ndarray) -> np.ndarray | None:
+    """Normals of the moved mesh, in the layout of the mesh's own, or per corner where that cannot hold them.
+
+    resting (T,): triangles that keep the normals that they had.
+    """
+    old = mesh.normals
+    if old is None and not resting.any():
+        return None  # flat
+    if resting.all():
+        return _corners(mesh, mesh.positions, old) if old is None else old
+    new = None if old is None else _smooth(mesh, positions, old)
+    if not resting.any():
+        return new
+    kept = _corners(mesh, mesh.positions, old)
+    return np.where(resting[:, None, None], kept, _corners(mesh, positions, new))
+
+
+def _corners(mesh: Mesh, positions: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+    """(T, 3, 3) float32: normals per corner, of flat triangles their own."""
+    if normals is None:
+        return np.repeat(_of_triangles(mesh, positions)[:, None], 3, 1).astype(np.float32)
+    return normals if normals.ndim == 3 else normals[mesh.triangles]
+
+
+def _smooth(mesh: Mesh, positions: np.ndarray, old: np.ndarray) -> np.ndarray:
+    """Means of the triangles' normals about each vertex; of corners, among those that had one normal."""
+    group = mesh.triangles.ravel().astype(np.int64)
+    count = len(positions)
+    if old.ndim == 3:  # sharp edges part the corners of a vertex
+        rounded = np.round(old.reshape(-1, 3) * 1000.0)
+        _, group = np.unique(np.column_stack([group, rounded]), axis=0, return_inverse=True)
+        group = group.ravel()
+        count = int(group.max(initial=-1)) + 1
+    faces = np.repeat(_of_triangles(mesh, positions), 3, 0)
+    total = np.stack([np.bincount(group, faces[:, c], count) for c in range(3)], 1)
+    length = np.sqrt((total * total).sum(1, keepdims=True))
+    mean = np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
+    found = (mean if old.ndim == 2 else mean[group].reshape(old.shape)).astype(np.float32)
+    unknown = (found == 0.0).all(-1)
+    found[unknown] = old[unknown]  # of vertices without triangles, and where these cancel
+    return found
+
+
+def _of_triangles(mesh: Mesh, positions: np.ndarray) -> np.ndarray:
+    """(T, 3) float64 unit normals; 0 of what has no area."""
+    a, b, c = (positions[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
+    n = np.cross(b - a, c - a)
+    length = np.sqrt((n * n).sum(1, keepdims=True))
+    return np.divide(n, length, out=np.zeros_like(n), where=length > 0.0)
