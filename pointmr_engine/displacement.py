@@ -13,7 +13,7 @@ import numpy as np
 from pointmr_engine.hierarchy.geometry import Geometry, with_parts
 from pointmr_engine.raytracing.surface import points_at
 from pointmr_engine.scene.material import Material
-from pointmr_engine.scene.mesh import Mesh
+from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 from pointmr_engine.shading.displacement import Displacement
 
 
@@ -43,9 +43,8 @@ def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
             if key not in made:
                 made[key] = _displace(geometry, p, mesh, programs, warnings)
             positions, normals = made[key]
-            parts[p] = replace(
-                mesh, positions=positions, normals=normals, generated=geometry.tables.generated[p]
-            )
+            attributes = {GENERATED: _generated(geometry, p, mesh)} | mesh.attributes
+            parts[p] = replace(mesh, positions=positions, normals=normals, attributes=attributes)
     return with_parts(geometry, parts), warnings
 
 
@@ -75,6 +74,13 @@ def _displace(geometry: Geometry, p: int, mesh: Mesh, programs: dict, warnings: 
     positions[vertices] += offset.astype(positions.dtype)
     resting = np.array([not _shades_moved(m) for m in mesh.materials])[slots]
     return positions, _normals(mesh, positions, resting)
+
+
+def _generated(geometry: Geometry, p: int, mesh: Mesh) -> Attribute:
+    """Generated coordinates of the resting vertices, which they keep."""
+    lower, upper = geometry.tables.generated[p]
+    size = np.where(upper != lower, upper - lower, np.inf)
+    return Attribute(((mesh.positions - lower) / size).astype(np.float32), "vertex")
 
 
 def _shades_moved(material: Material | None) -> bool:
@@ -122,10 +128,9 @@ def _smooth(mesh: Mesh, positions: np.ndarray, old: np.ndarray) -> np.ndarray:
     group = mesh.triangles.ravel().astype(np.int64)
     count = len(positions)
     if old.ndim == 3:  # sharp edges part the corners of a vertex
-        rounded = np.round(old.reshape(-1, 3) * 1000.0)
-        _, group = np.unique(np.column_stack([group, rounded]), axis=0, return_inverse=True)
-        group = group.ravel()
-        count = int(group.max(initial=-1)) + 1
+        x, y, z = (np.round(np.clip(old, -1, 1).reshape(-1, 3) * 1000.0) + 1000.0).astype(np.int64).T
+        kinds, group = np.unique(group << 33 | x << 22 | y << 11 | z, return_inverse=True)
+        count = len(kinds)
     faces = np.repeat(_of_triangles(mesh, positions), 3, 0)
     total = np.stack([np.bincount(group, faces[:, c], count) for c in range(3)], 1)
     length = np.sqrt((total * total).sum(1, keepdims=True))

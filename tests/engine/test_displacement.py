@@ -11,6 +11,7 @@ from pointmr_engine import Camera, Group, Instances, Material, Mesh, RenderSetti
 from pointmr_engine.displacement import displaced
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.mesh import GENERATED
 from pointmr_engine.scene.world import uniform_world
 from tests.engine.small_scenes import from_above
 
@@ -76,6 +77,14 @@ def test_what_is_displaced_and_bumped_keeps_its_normals():
     sharp = moved(replace(flat, normals=None))
     assert sharp.normals.shape == (len(flat.triangles), 3, 3)
     assert sharp.normals.reshape(-1, 3) == pytest.approx(np.tile([[0, 0, 1]], (3 * len(flat.triangles), 1)))
+
+
+def test_generated_coordinates_are_those_of_the_resting_mesh():
+    flat = grid(10, hilly("DISPLACEMENT"))
+    found = moved(flat).attributes[GENERATED]
+    assert found.domain == "vertex"
+    assert found.values[:, :2] == pytest.approx(flat.positions[:, :2] / 6.0 + 0.5, abs=1e-6)
+    assert not found.values[:, 2].any()
 
 
 def test_flat_meshes_stay_flat():
