@@ -57,6 +57,23 @@ def open_blend(path: Path) -> None:
     bpy.ops.wm.open_mainfile(filepath=str(path), use_scripts=False, load_ui=False)
 
 
+def exported():
+    """(the engine's scene, its settings, seconds to read them) of bpy.context.scene as a final render reads it.
+
+    Modifiers and hair are as dense as they render, and not as the viewport shows them. Makes ours the render engine.
+    """
+    import bpy
+
+    import blender_addon
+    from blender_addon.headless import FrameObserver, run_render
+
+    blender_addon.register()
+    bpy.context.scene.render.engine = "POINTMR"
+    observer = FrameObserver(export_only=True)
+    run_render(observer)
+    return next(iter(observer.scenes.values())), observer.settings, observer.seconds["sync"]
+
+
 def find(name: str) -> Source:
     """The source of a name: a path to a .blend, a feature scene, or a real scene. Raises KeyError if none is meant."""
     from benchmarks import features, real

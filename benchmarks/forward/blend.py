@@ -57,15 +57,10 @@ def simplified(scene: Scene) -> Scene:
 
 def from_blend(path: str) -> Scene:
     """The scene of a .blend file, or of a real scene with a driver ("gn_trees"), simplified."""
-    import bpy
-
-    import blender_addon
     from benchmarks import sources
-    from blender_addon import sync
 
-    blender_addon.register()
     sources.find(path).load()
-    return simplified(sync.export(bpy.context.evaluated_depsgraph_get()))
+    return simplified(sources.exported()[0])
 
 
 def to_blend(scene: Scene, path: Path) -> None:

@@ -43,20 +43,20 @@ def export(name: str, size: tuple[int, int]):
     """(Scene, RenderSettings) of a subject, or of the forest, in one thread."""
     if name == "forest":
         return forest(), RenderSettings(*size, threads=1, passes=("combined",))
-    import blender_addon
-
-    blender_addon.register()
     import bpy
 
+    import blender_addon
     from benchmarks import methods
     from benchmarks.multires.scenes import source as source_of
-    from blender_addon import sync
+    from benchmarks.sources import exported
+
+    blender_addon.register()
 
     source = source_of(name)
     source.load()
     methods.configure(bpy.context.scene, methods.Method("raytrace", 1), 0, size, source.overrides, 1)
-    scene = sync.export(bpy.context.evaluated_depsgraph_get())
-    return scene, replace(sync.settings_from_blender(bpy.context.scene), passes=("combined",))
+    scene, settings, _ = exported()
+    return scene, replace(settings, passes=("combined",))
 
 
 def measure(name: str, o: argparse.Namespace) -> list[dict]:

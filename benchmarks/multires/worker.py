@@ -50,15 +50,15 @@ class Ours:
     """A scene read once from Blender and rendered by the engine again and again."""
 
     def __init__(self, order: dict):
-        import blender_addon
-
-        blender_addon.register()
         import bpy
 
+        import blender_addon
         from benchmarks import methods
         from benchmarks.multires import scenes
-        from blender_addon import sync
+        from benchmarks.sources import exported
         from pointmr_engine.render import Cache
+
+        blender_addon.register()
 
         self.name, self.blender, self.baseline = order["method"], bpy.app.version_string, peak_mb()
         source = scenes.source(order["scene"])
@@ -68,11 +68,9 @@ class Ours:
         self.missing = methods.configure(
             bpy.context.scene, shared, 0, order["size"], overrides, order["threads"]
         )
-        self.loaded, start = peak_mb(), time.perf_counter()
-        depsgraph = bpy.context.evaluated_depsgraph_get()
-        self.scene = sync.export(depsgraph)
-        self.settings = replace(sync.settings_from_blender(bpy.context.scene), passes=("combined",))
-        self.export_s = time.perf_counter() - start
+        self.loaded = peak_mb()
+        self.scene, settings, self.export_s = exported()
+        self.settings = replace(settings, passes=("combined",))
         self.new_cache, self.cache, self.warm = Cache, Cache(), False
 
     def chosen(self, order: dict):
