@@ -292,27 +292,44 @@ def _reflect(
     d = towards_normal(nm, d, rough)
     if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
         return m
-    two = singular == 0 and not small and not alone and _largest(w) > STRONG
-    wide = 0.0 if singular else min(2.0 * rough * (CORE if two else WIDE), 0.5 * WIDEST)
+    flags, pdf = np.int64(0), math.inf
+    if singular == 0 and not integrated:
+        flags, pdf = np.int64(SEES_LAMPS) if glints else np.int64(0), BY_LOBE
+    if singular != 0 and bent and kind & KIND_MASK == REFLECTION:
+        flags = np.int64(NO_LAMPS)
+    return _open_cones(
+        paths, k, hits, frames, lobes, limits, w, d, nm, abs(cosine), RAY_REFLECTION | RAY_GLOSSY | singular,
+        np.int64(0), flags, pdf, 0.0 if singular else rough, small, alone, nm, wi, out, m, record,
+    )  # fmt: skip
+
+
+@device
+def _open_cones(
+    paths, k, hits, frames, lobes, limits, w, d, axis, across, ray_kind, transmission, flags, pdf, alpha, small, alone,
+    normal, wi, out, m, record,
+):  # fmt: skip
+    """The cone of a lobe about direction d, or the two of one that matters; returns the next row.
+
+    axis: the lobe's normal; across: how wide the cone is beside the plane of incidence (open_cone). alpha: roughness of
+    a mirror that spreads as much, 0 of what is sharp. normal: of a lobe that reflects, else 0. Others as of `_reflect`.
+    """
+    two = alpha > 0.0 and not small and not alone and _largest(w) > STRONG
+    wide = min(2.0 * alpha * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
     for part in range(2 if two else 1):
         if part == 1:
             wide *= REST / CORE
         go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
-              RAY_REFLECTION | RAY_GLOSSY | singular, np.int64(1), np.int64(0))  # fmt: skip
-        if glints and singular == 0 and not integrated:
-            out.flags[m] |= SEES_LAMPS
-        if singular == 0 and not integrated:
-            out.bsdf_pdf[m] = BY_LOBE
-        if singular != 0 and bent and kind & KIND_MASK == REFLECTION:
-            out.flags[m] |= NO_LAMPS
+              ray_kind, np.int64(1) - transmission, transmission)  # fmt: skip
+        out.flags[m] |= flags
+        out.bsdf_pdf[m] = pdf
         out.state.spread[m] = paths.state.spread[k]
-        open_cone(record.cones, m, out, wide, grain, abs(cosine), d[0], d[1], d[2], nm[0], nm[1], nm[2])
-        record.alpha[m] = 0.0 if singular else rough
+        open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
+        record.alpha[m] = alpha
         record.part[m] = part + 1 if two else 0
         record.ray[m] = small
         for c in range(3):
-            record.normal[m, c] = nm[c]
+            record.normal[m, c] = normal[c]
             record.incoming[m, c] = wi[c]
         m += 1
     return m
@@ -365,22 +382,8 @@ def _refract(
         return m
     along = inverse * cosine - math.sqrt(square)
     d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
-    two = singular == 0 and not small and not alone and _largest(w) > STRONG
-    wide = 0.0 if singular else min(2.0 * bend * (CORE if two else WIDE), 0.5 * WIDEST)
-    grain = wide
-    for part in range(2 if two else 1):
-        if part == 1:
-            wide *= REST / CORE
-        go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
-              RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(0), np.int64(1))  # fmt: skip
-        if glints and rough < NARROW:
-            out.flags[m] |= SEES_LAMPS
-        out.state.spread[m] = paths.state.spread[k]
-        open_cone(record.cones, m, out, wide, grain, 1.0, d[0], d[1], d[2], nm[0], nm[1], nm[2])
-        record.alpha[m] = 0.0 if singular else bend
-        record.part[m] = part + 1 if two else 0
-        record.ray[m] = small
-        for c in range(3):
-            record.normal[m, c] = 0
-        m += 1
-    return m
+    flags = np.int64(SEES_LAMPS) if glints and rough < NARROW else np.int64(0)
+    return _open_cones(
+        paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
+        flags, math.inf, 0.0 if singular else bend, small, alone, (0.0, 0.0, 0.0), wi, out, m, record,
+    )  # fmt: skip
