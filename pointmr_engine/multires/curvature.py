@@ -83,7 +83,7 @@ def _place_on(tables, p, t, m, x, y, z):
         d = (x if r == 0 else y if r == 1 else z) - m[r, 3]
         for s in range(3):
             o = np.float64(positions[a + s])
-            d -= m[r, s] * o
+            d -= m[r, s] * (o + tables.center[p, s])
             e += m[r, s] * (positions[b + s] - o)
             f += m[r, s] * (positions[c + s] - o)
         uu, uv, vv, du, dv = uu + e * e, uv + e * f, vv + f * f, du + d * e, dv + d * f

@@ -58,6 +58,21 @@ def exact_and_ours(scene: Scene, seeds: int) -> tuple[np.ndarray, np.ndarray]:
     return exact, np.array([image(scene, cache, seed=s) for s in range(seeds)])
 
 
+@pytest.mark.parametrize("material", [CHROME, principled("clay", base_color=(0.8, 0.8, 0.8), roughness=0.9)])
+def test_normals_do_not_hang_on_where_a_mesh_has_its_origin(material):
+    """Vertices far from the origin are stored about their middle, of which normals between them must know."""
+    near = ball(material)
+    away = np.float32([2.0, -3.0, 1.0])
+    far = Mesh("ball", near.positions + away, near.triangles, normals=near.normals, materials=near.materials)
+    back = np.eye(4)[None, :3].copy()
+    back[0, :, 3] = -away
+    pictures = []
+    for root in (Group("near", [near]), Group("far", instances=[Instances((Group("moved", [far]),), back)])):
+        pictures.append(image(Scene(root, CAMERA, lamps(2), uniform_world((0.1, 0.1, 0.1)))))
+    assert pictures[0][BALL].mean() > 0.1
+    assert np.abs(pictures[1] - pictures[0]).mean() < 0.01 * pictures[0].mean()
+
+
 def test_clear_glass_is_as_bright_as_what_is_about_it():
     """In a world that shines evenly it cannot be seen; at its rim, light leaves by way of total reflection inside."""
     scene = Scene(Group("root", [ball(GLASS)]), CAMERA, [], uniform_world((1.0, 1.0, 1.0)))
