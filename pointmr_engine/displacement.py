@@ -12,7 +12,6 @@ import numpy as np
 
 from pointmr_engine.hierarchy.geometry import Geometry, with_parts
 from pointmr_engine.raytracing.surface import points_at
-from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 from pointmr_engine.shading.displacement import Displacement
 
@@ -72,7 +71,7 @@ def _displace(geometry: Geometry, p: int, mesh: Mesh, programs: dict, warnings: 
         offset[lost] = 0.0
     positions = mesh.positions.copy()
     positions[vertices] += offset.astype(positions.dtype)
-    resting = np.array([not _shades_moved(m) for m in mesh.materials])[slots]
+    resting = np.array([m is None or not m.shades_moved for m in mesh.materials])[slots]
     return positions, _normals(mesh, positions, resting)
 
 
@@ -81,11 +80,6 @@ def _generated(geometry: Geometry, p: int, mesh: Mesh) -> Attribute:
     lower, upper = geometry.tables.generated[p]
     size = np.where(upper != lower, upper - lower, np.inf)
     return Attribute(((mesh.positions - lower) / size).astype(np.float32), "vertex")
-
-
-def _shades_moved(material: Material | None) -> bool:
-    """Whether normals are those of the moved surface."""
-    return material is not None and material.moves_vertices and material.bump_method == "DISPLACEMENT"
 
 
 def _offsets(geometry: Geometry, p: int, corner: np.ndarray, program: Displacement) -> np.ndarray:

@@ -28,11 +28,14 @@ class Material:
         return self.graph.displacement is not None and self.bump_method in ("DISPLACEMENT", "BOTH")
 
     @property
+    def shades_moved(self) -> bool:
+        """Whether it shades the displaced surface; else the resting one, with its displacement as bump."""
+        return self.moves_vertices and self.bump_method == "DISPLACEMENT"
+
+    @property
     def surface_graph(self) -> Graph:
         """The graph that shades: its displacement is no bump where vertices have been moved by it."""
-        if self.moves_vertices and self.bump_method == "DISPLACEMENT":
-            return replace(self.graph, displacement=None)
-        return self.graph
+        return replace(self.graph, displacement=None) if self.shades_moved else self.graph
 
 
 def principled(name: str = "Material", **inputs) -> Material:

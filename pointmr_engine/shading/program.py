@@ -6,7 +6,7 @@ and says what the program needs of a point. `Program.evaluate` then runs every r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
 from pointmr_engine.shading.differentials import axes_at, moved_points
 from pointmr_engine.shading.footprint_mean import NEEDS
 from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION, Leaf
-from pointmr_engine.shading.nodes.registry import Call
+from pointmr_engine.shading.nodes.registry import Call, NodeType
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
 from pointmr_engine.shading.values import normalize
 
@@ -99,37 +99,39 @@ class Plan:
         return moved
 
 
+def _decided(steps: list[Step], by: Callable[[NodeType], bool], through: bool = False) -> list[bool]:
+    """Which steps are of a type that `by` names, or depend on one; through: what is differenced, too."""
+    found: list[bool] = []
+    for step in steps:
+        below = any(found[s.step] for s in step.inputs.values() if isinstance(s, Slot))
+        found.append(by(step.type) or (below and (through or not step.type.differenced)))
+    return found
+
+
+def _columns(leaves: list[LeafPlan], decided: list[bool]) -> list[Slot]:
+    """The sources of columns that are decided."""
+    columns = [s for leaf in leaves for _, _, s in leaf.columns]
+    return [s for s in columns if isinstance(s, Slot) and decided[s.step]]
+
+
 def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> tuple[list[Slot], list[Slot]]:
     """The sources of columns, and of normals, that fine nodes decide.
 
     A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it,
     which is worth telling from their mean where lobes may be sharp.
     """
-    fine: list[bool] = []
-    bent: list[bool] = []  # the same through what is differenced, too
-    for step in steps:
-        slots = [s for s in step.inputs.values() if isinstance(s, Slot)]
-        below = any(fine[s.step] for s in slots)
-        fine.append(step.type.fine or (below and not step.type.differenced))
-        bent.append(step.type.fine or any(bent[s.step] for s in slots))
-    columns = [s for leaf in leaves for _, _, s in leaf.columns]
+    bent = _decided(steps, lambda t: t.fine, through=True)
     sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
     normals = [s for leaf in sharp for name, s in leaf.normals.items() if name != "tangent"]
     return (
-        [s for s in columns if isinstance(s, Slot) and fine[s.step]],
+        _columns(leaves, _decided(steps, lambda t: t.fine)),
         [s for s in normals if isinstance(s, Slot) and bent[s.step]],
     )
 
 
 def image_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
     """The sources of columns that images decide, filtered over footprints."""
-    images: list[bool] = []
-    for step in steps:
-        slots = [s for s in step.inputs.values() if isinstance(s, Slot)]
-        below = not step.type.differenced and any(images[s.step] for s in slots)
-        images.append(step.type.footprint is not None or below)
-    columns = [s for leaf in leaves for _, _, s in leaf.columns]
-    return [s for s in columns if isinstance(s, Slot) and images[s.step]]
+    return _columns(leaves, _decided(steps, lambda t: t.footprint is not None))
 
 
 def _may_be_sharp(leaf: LeafPlan) -> bool:
@@ -200,13 +202,13 @@ class Program:
         fine = columns + normals
         self._fine_plan = Plan(steps, fine) if fine else None
         self._column_plan = Plan(steps, columns)
+        self._column_names = {(s.step, s.output) for s in columns}
         images = image_slots(steps, leaves) if filtered and kind == "surface" else []
         images = [s for s in images if s not in columns]
         self._image_plan = Plan(steps, images)
         self._image_names = {(s.step, s.output) for s in images}
         self.image_reads: frozenset[str] = self._image_plan.needs
         self.image_needs: frozenset[str] = self.image_reads | NEEDS if images else frozenset()
-        self._column_names = {(s.step, s.output) for s in columns}
         self.fine_normals: frozenset = frozenset((s.step, s.output) for s in normals)
         self.needs: frozenset[str] = self._plan.needs
         self.fine_reads: frozenset[str] = self._fine_plan.needs if fine else frozenset()

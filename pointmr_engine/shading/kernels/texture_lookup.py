@@ -47,9 +47,7 @@ def srgb_to_linear(x):
 
 
 # what bytes of sRGB decode to
-_OF_BYTES = np.array(
-    [c / 12.92 if c < 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in np.arange(256) / 255]
-)
+_OF_BYTES = np.array([srgb_to_linear.py_func(c) for c in np.arange(256) / 255])
 
 
 @uncounted
