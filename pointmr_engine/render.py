@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.image.frame import Frame
+from pointmr_engine.numerics.blas import one_blas_thread
 from pointmr_engine.scene.group import Group, Instances
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
@@ -88,6 +89,7 @@ _warm, _warm_lock = threading.Event(), threading.Lock()
 Progress = Callable[[float, str, Tile | None], bool | None]
 
 
+@one_blas_thread()
 def render(
     scene: Scene,
     settings: RenderSettings | None = None,

@@ -85,7 +85,7 @@ def cofactors(m, out):
 def inverse_linear(m: np.ndarray) -> np.ndarray:
     """Inverse of the linear parts (..., 3, 3) by cofactors; zero for singular ones.
 
-    np.linalg.inv would wake OpenBLAS's threads even for one matrix, and they spin for milliseconds afterwards.
+    np.linalg.inv raises for a stack in which one is singular, and takes a call of LAPACK for each.
     """
     a = m[..., :3]
     x, y, z = a[..., 0, :], a[..., 1, :], a[..., 2, :]

@@ -2,10 +2,12 @@
 
 import math
 import sys
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from pointmr_engine import (
     Group,
@@ -127,6 +129,30 @@ def test_cancel_stops_the_render():
     with pytest.raises(Cancelled):
         render(lit_floor(), replace(TINY, width=200, height=200), progress)
     assert len(calls) == 4
+
+
+def _blas_threads():
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_products_of_arrays_take_no_threads_of_their_own_while_any_image_is_made():
+    with threadpool_limits(limits=3, user_api="blas"):  # also where there is one processor
+        before = _blas_threads()
+        assert before and before != {1}
+        seen, others = [], []
+
+        def overlap(fraction, text, tile):
+            seen.append(_blas_threads())
+            if not others:  # another image begins later and ends sooner
+                others.append(threading.Thread(target=render, args=(lit_floor(), TINY)))
+                others[0].start()
+                others[0].join()
+
+        render(lit_floor(), TINY, overlap)
+        with pytest.raises(Cancelled):
+            render(lit_floor(), TINY, lambda *_: True)
+        assert len(seen) > 1 and all(s == {1} for s in seen)
+        assert _blas_threads() == before
 
 
 def test_what_a_scene_does_not_need_is_not_done():
