@@ -11,8 +11,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import load_i32
 from pointmr_engine.raytracing.surface import points_at
-from pointmr_engine.shading import leaves as kinds
-from pointmr_engine.shading.leaves import COLUMNS, Leaf
+from pointmr_engine.shading.leaves import reduce_leaves
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
 from pointmr_engine.shading.program import Program
 
@@ -70,34 +69,6 @@ class Baker:
                 albedo, emission, alpha = reduce_leaves(program.evaluate(points), len(chosen))
             look.albedo[rows], look.emission[rows], look.alpha[rows] = albedo, emission, alpha
         return look
-
-
-def reduce_leaves(leaves: list[Leaf], count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(albedo (n, 3), emission (n, 3), alpha (n,)) float32 of a program's leaves."""
-    albedo, emission = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
-    clear = np.zeros(count, np.float32)
-    for leaf in leaves:
-        weight = leaf.block[:, :3]
-        if leaf.kind == kinds.PRINCIPLED:
-            column = COLUMNS[kinds.PRINCIPLED].index
-            base, glow = column("base_color_r"), column("emission_r")
-            alpha = leaf.block[:, column("alpha"), None]
-            albedo += weight * alpha * leaf.block[:, base : base + 3]
-            emission += weight * alpha * leaf.block[:, glow : glow + 3]
-            clear += (weight * (1.0 - alpha)).mean(1)
-        elif leaf.kind == kinds.TRANSPARENT:
-            clear += weight.mean(1)
-        elif leaf.kind in (kinds.EMISSION, kinds.BACKGROUND):
-            emission += weight
-        elif leaf.kind == kinds.METALLIC:
-            base = COLUMNS[kinds.METALLIC].index("base_color_r")
-            albedo += weight * leaf.block[:, base : base + 3]
-        elif leaf.kind != kinds.HOLDOUT:
-            albedo += weight
-    alpha = np.clip(1.0 - np.nan_to_num(clear), 0.0, 1.0)
-    back = (1.0 / np.maximum(alpha, 1e-6))[:, None]
-    albedo, emission = np.nan_to_num(albedo), np.nan_to_num(emission)
-    return np.clip(albedo * back, 0.0, 1.0), np.maximum(emission * back, 0.0), alpha
 
 
 @uncounted

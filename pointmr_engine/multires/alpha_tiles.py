@@ -232,6 +232,7 @@ class AlphaTiles(TracedTiles):
 
     def __init__(self, image):
         super().__init__(image)
+        self.textures = None  # no subpixel shows one fragment alone
         n = len(self.fragments.entry) * ROOM
         self.fragments = allocate_fragments(n)  # at most; untouched pages cost nothing
         self.weight, self.largest = np.empty(n, np.float32), np.empty(n, np.int32)

@@ -18,6 +18,7 @@ from pointmr_engine.forward.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.curvature import mean_normals, spread_of_curvature
 from pointmr_engine.multires.path_pool import PathPool
+from pointmr_engine.multires.texture_slopes import slopes_in_image
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
 from pointmr_engine.raytracing import paths, walk
@@ -27,6 +28,7 @@ from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
 from pointmr_engine.shading.bsdf.layout import SAMPLE, WEIGHT
 from pointmr_engine.shading.bsdf.vector import combine, load3, mean
+from pointmr_engine.shading.footprint_slopes import allocate_texture_slopes
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
 BATCH = 8192
@@ -177,6 +179,7 @@ class FragmentPaths(Workspace):
         self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
         self.pixel, self.in_pixel = np.empty(n, np.int64), np.empty((0, 0), np.int32)
         self.coloured, self.let_pass = np.zeros(n, np.bool_), np.zeros(n, np.float32)
+        self.own_slopes = allocate_texture_slopes(n)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
         # of all fragments whose paths are under way; self.samples: of one batch, while its first surfaces are lit
         self.every = self.samples
@@ -192,6 +195,7 @@ class FragmentPaths(Workspace):
     def start_tile(self, space, count: int) -> None:
         """Begin with the fragments 0..count of a tile (forward.tiles.Workspace)."""
         self.space = space
+        self.texture_slopes = None if space.textures is None else self.own_slopes
         if self.in_pixel.shape != space.used.shape:
             self.in_pixel = np.empty_like(space.used)
         count_in_pixels(space.fragments, np.int64(space.image.subpixels), np.int64(count), self.in_pixel)
@@ -256,6 +260,7 @@ class FragmentPaths(Workspace):
             target[clump] = normals[clump]
         self.spread[clump], self.flat[clump] = 0.0, 1.0
         self.curved[:count] = 0.0
+        self.own_slopes.known[:count] = False
         self.coloured[:count] = False
         self.coloured[triangles] = image.coloured
         tables = self.stage.shader.geometry.tables
@@ -272,6 +277,10 @@ class FragmentPaths(Workspace):
             now.state.spread[:count] = 0.0
         self.first, self.count = first, count
         n = self.meet(self.tile, now, then, count, 0)
+        if space.textures is not None:
+            slopes_in_image(
+                image.view, image.camera.camera_from_world, f, first_, self.own_slopes, n_, space.textures
+            )
         then.slot[:n] += base
         self.leave(then, n, base, count)
         self.samples = self.every

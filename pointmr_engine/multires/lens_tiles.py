@@ -37,6 +37,7 @@ from pointmr_engine.multires.looks import look_through_lens
 from pointmr_engine.multires.merge import choose_seen, renumber
 from pointmr_engine.multires.method import TracedTiles
 from pointmr_engine.multires.slopes import COLUMNS, find_slopes_by_key
+from pointmr_engine.multires.texture_slopes import take_texture_slopes
 from pointmr_engine.numerics.dither import SIDE
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import CAMERA
@@ -270,6 +271,10 @@ class LensTiles(TracedTiles):
             self.fragments, self.light, half, np.empty((n, COLUMNS), np.float32), slopes,
         )  # fmt: skip
         slopes.x[n:], slopes.y[n:] = 0.0, 0.0
+        own_size = np.searchsorted(
+            shared, 1 << MIXED
+        )  # others have footprints that are smaller than their cells
+        take_texture_slopes(self.textures, self.light, own_size, slopes)
         return slopes
 
     def _filtered(self, values, background, rows: int, columns: int) -> np.ndarray:

@@ -26,6 +26,7 @@ from pointmr_engine.multires.merge import choose_seen, merge_fragments, renumber
 from pointmr_engine.multires.opacity_micromap import with_micromap
 from pointmr_engine.multires.representatives import bring_forward, choose_representatives, lend_light
 from pointmr_engine.multires.slopes import COLUMNS, find_slopes
+from pointmr_engine.multires.texture_slopes import take_texture_slopes
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -139,6 +140,9 @@ class TracedTiles(Workspace):
         self.seen = np.empty((n, 2), np.int32)
         # of all fragments, of which there are `all`, the one that each has its light from
         self.stands, self.all = np.empty(n, np.int32), 0
+        self.textures = allocate_slopes(
+            n
+        )  # in parts of the light of those that are shaded; None: not asked for
         self.eyes = NO_EYES  # that see the fragments
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)
@@ -162,13 +166,14 @@ class TracedTiles(Workspace):
             self.held[count : self.all] = self.held[self.stands[count : self.all]]
 
     def _slopes(self, count: int) -> Slopes:
-        image, count = self.image, max(count, self.all)
+        image, shaded, count = self.image, count, max(count, self.all)
         sums, slopes = np.empty((count, COLUMNS), np.float32), allocate_slopes(count)
         find_slopes(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
             image.view.perspective, np.float64(image.footprint), self.fragments, self.light, np.int64(count), sums,
             slopes,
         )  # fmt: skip
+        take_texture_slopes(self.textures, self.light, np.int64(shaded), slopes)
         return slopes
 
     def _fragments(self, hierarchy) -> int:

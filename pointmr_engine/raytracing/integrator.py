@@ -72,6 +72,7 @@ class Workspace:
         self.order = np.zeros(n, np.int64)
         self.scattered = paths.allocate_scattered(n)
         self.counters: Counter = Counter()
+        self.texture_slopes = None  # of first surfaces, for methods that ask
         if stage.needs.light_samples:
             self.lit_rows = np.zeros(n, np.int32)
             self.lit_position = np.zeros((n, 3))
@@ -127,7 +128,10 @@ class Workspace:
         if stage.needs.window and bounce == 0:
             state.window[:n] = window_coordinates(stage.camera, surface.position[:n])
         fill_view(now.rays, state.kind, surface, self.view, n)
-        stage.shader.lobes_at(now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes)
+        stage.shader.lobes_at(
+            now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes,
+            self.texture_slopes if bounce == 0 else None,
+        )  # fmt: skip
         self.shaded(now, n, bounce)
         self.counters["shaded_points"] += int(alive.sum())
         if self.lobes.holdout[:n].any() or (alive & hits.holdout[:n]).any():

@@ -16,6 +16,7 @@ from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
 from pointmr_engine.shading.bsdf.widening import widen_lobes
 from pointmr_engine.shading.footprint_mean import OBLIQUE, footprint_means, slope_variance, stretched_means
+from pointmr_engine.shading.footprint_slopes import TextureSlopes, fill_slopes
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_SINGULAR
 from pointmr_engine.shading.program import Program
 from pointmr_engine.shading.values import dot
@@ -102,8 +103,11 @@ class Shader:
         n,
         order,
         out: Lobes,
+        slopes: TextureSlopes | None = None,
     ):
-        """Fill the lobes of the wanted rows (n,) bool of 0..n; all others are emptied."""
+        """Fill the lobes of the wanted rows (n,) bool of 0..n; all others are emptied. slopes: of these rows, where
+        textures change across footprints; what was known of others stays.
+        """
         lobe_kernels.reset(out, View(*(a[:n] for a in view)))
         start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
         for m, program in enumerate(self.programs):
@@ -111,33 +115,37 @@ class Shader:
             if not len(rows):
                 continue
             points = self._gather(rays, hits, frames, rows, program.needs, state, m)
-            means = self._means(program, rays, hits, frames, view, rows, state, m)
-            for leaf in program.evaluate(points, means):
+            means, changes = self._means(program, rays, hits, frames, view, rows, state, m)
+            values = program.values(points)
+            leaves = program.fill_leaves(values, means)
+            if slopes is not None and changes is not None:
+                fill_slopes(program, values, means, leaves, changes, rows, slopes)
+            for leaf in leaves:
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
             if means and program.fine_normals:
                 seen, values = means[0]
                 normals = [values[name] for name in program.fine_normals]
                 widen_lobes(out, rows[seen], slope_variance(normals))
 
-    def _means(self, program: Program, rays, hits, frames, view, rows, state, material) -> list:
+    def _means(self, program: Program, rays, hits, frames, view, rows, state, material):
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones, and
-        images where it is seen obliquely.
+        images where it is seen obliquely; and the slopes of the fine ones, or None.
         """
         if not (program.fine_needs or program.image_needs):
-            return []
+            return [], None
         seen = np.flatnonzero(
             ((state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0)
             & ((state.width[rows] > 0) | (state.spread[rows] > 0))
         )
         if not len(seen):
-            return []
+            return [], None
 
         def points(needs: frozenset[str]):
             return lambda index: self._gather(rays, hits, frames, index, needs, state, material)
 
-        means = []
+        means, slopes = [], None
         if program.fine_needs:
-            found = footprint_means(
+            found, slopes = footprint_means(
                 program.fine_values, points(program.fine_needs), rows[seen], program.fine_reads, self.seed,
                 program.fine_normals, program.fine_columns,
             )  # fmt: skip
@@ -151,7 +159,7 @@ class Shader:
                     cosine[oblique],
                 )  # fmt: skip
                 means.append((seen[oblique], found))
-        return means
+        return means, slopes and slopes._replace(rows=seen[slopes.rows])
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

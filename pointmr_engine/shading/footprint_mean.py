@@ -11,6 +11,7 @@ at places along it, as wide as it is wide.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,18 +19,29 @@ from pointmr_engine.shading.differentials import moved_points, tangent_axes
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.values import cross, dot
 
-NEEDS = frozenset({"moved", "footprint", "geometric_normal", "incoming", "position"})
-GRAZING = 0.05  # cosine below which footprints on a surface grow no further
+NEEDS = frozenset({"moved", "footprint", "geometric_normal", "incoming", "position", "camera_from_world"})
+GRAZING = 0.02  # cosine below which footprints on a surface grow no further
+FIRST, MORE, ALL = 4, 16, 32  # places of a footprint
 ALIKE = 0.1  # of their mean: largest difference between the first places' values that needs no others
+CONTRAST = 1.0  # ... between the values of more places, that needs not all
 FAINT = 0.01  # added to that mean
-FIRST, ALL = 4, 16  # places of a footprint
 OBLIQUE = 0.6  # cosine below which images are read at several places
 FAR = 0.2  # ... and at all of them, where the first ones differ
 OF_FEW = FIRST / (FIRST - 1)  # times the variance about the mean of so few
 
-# the first points of Sobol's sequence: any 4 and all 16 are stratified
-_U = np.array([0, 8, 12, 4, 6, 14, 10, 2, 3, 11, 15, 7, 5, 13, 9, 1], np.float64) / ALL
-_V = np.array([0, 8, 4, 12, 6, 14, 2, 10, 5, 13, 1, 9, 3, 11, 7, 15], np.float64) / ALL
+# 32 points of a lattice, the first 4 and 16 of which are lattices, too (Hickernell, Hong, L'Ecuyer and
+# Lemieux 2000, "Extensible Lattice Sequences for Quasi-Monte Carlo Quadrature"): points of Sobol's sequence resonate
+# with checks. The generator was chosen for checks of all sizes.
+_U = np.array([int(f"{i:05b}"[::-1], 2) for i in range(ALL)]) / ALL
+_V = 19.0 * _U % 1.0
+
+
+class Slopes(NamedTuple):
+    """How values change across the footprints of m points: of planes that fit the values at all places best."""
+
+    rows: np.ndarray  # (m,) int64 of the points whose footprints they are
+    sides: np.ndarray  # (2, m, 3) float64 sides of the footprints, world space, metres
+    along: tuple[dict, dict]  # by name, (m,) or (m, 3) float32: change from end to end of either side
 
 
 def footprint_means(
@@ -40,21 +52,60 @@ def footprint_means(
     seed: int = 0,
     few: frozenset = frozenset(),
     rest: Callable[[SurfacePoints], dict] | None = None,
-) -> dict:
+) -> tuple[dict, Slopes | None]:
     """Values by name, each (n,) or (n, 3) float32: the means over the footprints of points `rows` (n,).
 
     run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
     with NEEDS. seed: another one has other places. few: names of values for which the first places are enough;
-    rest(points): the others.
+    rest(points): the others. Also returns the slopes of the others where they differ.
     """
-    first = _at_places(run, gather, rows, needs, seed, 0, FIRST)
-    mean = {name: v.mean(0) for name, v in first.items()}
-    more = np.flatnonzero(_differs(first, mean, first.keys() - few))
-    if len(more):
-        others = _at_places(rest or run, gather, rows[more], needs, seed, FIRST, ALL)
-        for name, v in others.items():
-            mean[name][more] = (mean[name][more] * FIRST + v.sum(0)) / np.float32(ALL)
-    return mean
+    found, places, sides = _at_places(run, gather, rows, needs, seed, 0, FIRST)
+    mean = {name: v.mean(0) for name, v in found.items()}
+    found = {name: found[name] for name in found.keys() - few}
+    chosen, slopes = np.arange(len(rows)), None
+    for begin, end, apart in ((FIRST, MORE, ALIKE), (MORE, ALL, CONTRAST)):
+        differ = np.flatnonzero(_differ(found, apart))
+        if not len(differ):
+            break
+        chosen, places = chosen[differ], places[:, :, differ]
+        others, other_places, sides = _at_places(rest or run, gather, rows[chosen], needs, seed, begin, end)
+        found = {name: np.concatenate([v[:, differ], others[name]]) for name, v in found.items()}
+        places = np.concatenate([places, other_places], 1)
+        for name, v in found.items():
+            mean[name][chosen] = v.mean(0)
+        along = _planes(places.astype(np.float32), found)
+        slopes = Slopes(chosen, sides, along) if slopes is None else _with(slopes, differ, along)
+    return mean, slopes
+
+
+def _with(slopes: Slopes, rows: np.ndarray, along: tuple[dict, dict]) -> Slopes:
+    """`slopes` in which rows have these instead."""
+    for old, new in zip(slopes.along, along, strict=True):
+        for name, v in new.items():
+            old[name][rows] = v
+    return slopes
+
+
+def _planes(places: np.ndarray, values: dict) -> tuple[dict, dict]:
+    """By name, (m, ...): by how much the plane nearest to values (k, m, ...) at places (2, k, m) rises along either
+    axis, in one step of 1; less by what chance may have of it (James and Stein 1961).
+    """
+    u, v = places - places.mean(1, keepdims=True)
+    uu, uv, vv = (u * u).sum(0), (u * v).sum(0), (v * v).sum(0)
+    inverse = 1.0 / (uu * vv - uv * uv)  # of stratified places: far from 0
+    weights = (vv * u - uv * v) * inverse, (uu * v - uv * u) * inverse
+    freedom = np.float32(2.0 / (len(u) - 3))
+    along: tuple[dict, dict] = {}, {}
+    for name, x in values.items():
+        x = x if x.ndim == 3 else x[..., None]
+        a, b = ((w[..., None] * x).sum(0) for w in weights)
+        whole = x.var(0).sum(-1) * len(u)
+        of_plane = (uu[:, None] * a * a + 2.0 * uv[:, None] * a * b + vv[:, None] * b * b).sum(-1)
+        chance = freedom * np.maximum(whole - of_plane, 0.0)
+        part = np.maximum(1.0 - chance / np.maximum(of_plane, 1e-30), 0.0)[:, None]
+        for target, slope in zip(along, (a, b), strict=True):
+            target[name] = (part * slope).reshape(values[name].shape[1:])
+    return along
 
 
 def stretched_means(
@@ -79,21 +130,29 @@ def stretched_means(
 
     first = along(np.arange(len(rows)), FIRST)
     mean = {name: v.mean(0) for name, v in first.items()}
-    more = np.flatnonzero((cosine < FAR) & _differs(first, mean, first.keys()))
+    more = np.flatnonzero((cosine < FAR) & _differ(first, ALIKE))
     if len(more):
         for name, v in along(more, ALL).items():
             mean[name][more] = v.mean(0)
     return mean
 
 
-def _differs(first: dict, mean: dict, names) -> np.ndarray:
-    """(n,) bool: whether the first places' values (FIRST, n, ...) differ, of any of the names."""
-    differs = np.zeros(len(next(iter(mean.values()))), np.bool_)
-    for name in names:
-        v = first[name]
-        apart = v.max(0) - v.min(0) > ALIKE * (np.abs(mean[name]) + FAINT)
-        differs |= apart if apart.ndim == 1 else apart.any(1)
-    return differs
+def _differ(values: dict, apart: float) -> np.ndarray:
+    """(n,) bool: whether the values (k, n, ...) of any name are farther apart than this part of their mean.
+
+    Or their mean is as far from that of the footprints before or after, which lie side by side as a rule: of what is
+    only black and white, four places are all alike in an eighth of all footprints, however fine it is.
+    """
+    differ = np.zeros(next(iter(values.values())).shape[1] if values else 0, np.bool_)
+    for v in values.values():
+        v = v if v.ndim == 3 else v[..., None]
+        mean = v.mean(0)
+        room = apart * (np.abs(mean) + FAINT)
+        differ |= (v.max(0) - v.min(0) > room).any(1)
+        steps = np.abs(np.diff(mean, axis=0))
+        differ[1:] |= (steps > room[1:]).any(1)
+        differ[:-1] |= (steps > room[:-1]).any(1)
+    return differ
 
 
 def slope_variance(means: list[np.ndarray]) -> np.ndarray:
@@ -104,14 +163,18 @@ def slope_variance(means: list[np.ndarray]) -> np.ndarray:
     return np.maximum(1.0 / np.maximum(length, 0.1) - 1.0, 0.0).astype(np.float32) * np.float32(OF_FEW)
 
 
-def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int) -> dict:
-    """Values (end - begin, n, ...) at places begin..end of the footprints of points `rows`, all in one batch."""
+def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int):
+    """Values (end - begin, n, ...) at places begin..end of the footprints of points `rows`, all in one batch; these
+    places (2, end - begin, n) along the footprints' sides, from -0.5 to 0.5, and the sides (2, n, 3).
+    """
     points = gather(rows)
-    a, b = _axes(points)
-    u, v = _turns(points.position, seed)
-    u = (u + _U[begin:end, None]) % 1 - 0.5
-    v = (v + _V[begin:end, None]) % 1 - 0.5
-    return _values_at(run, points, u[..., None] * a + v[..., None] * b, needs)
+    a, b = _turned(points, *_axes(points))
+    places = np.stack(_turns(points.position, seed))[:, None] + np.stack([_U, _V])[:, begin:end, None]
+    places -= places >= 1.0
+    places -= 0.5
+    offset = places[0][..., None] * a
+    offset += places[1][..., None] * b
+    return _values_at(run, points, offset, needs), places, np.stack([a, b])
 
 
 def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs, narrower=None) -> dict:
@@ -148,6 +211,23 @@ def _axes(points: SurfacePoints) -> tuple[np.ndarray, np.ndarray]:
     width = points.footprint.astype(np.float64)
     cosine = np.maximum(np.abs(dot(n, points.incoming)), GRAZING)
     return width[:, None] * across, (width / cosine)[:, None] * cross(across, n)
+
+
+def _turned(points: SurfacePoints, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sides a, b of `_axes` turned until the image shows them along its own, as those of its cells."""
+    if points.camera_from_world is None:
+        return a, b
+    incoming, (right, up) = points.incoming.astype(np.float64), points.camera_from_world[:2, :3]
+    across = a / points.footprint[:, None]
+    along = cross(across, incoming)
+    along[dot(points.geometric_normal, incoming) < 0] *= -1.0
+    c, s = across @ right, along @ right
+    far = c * c + s * s < 0.1  # seen in a mirror, from the side
+    if far.any():
+        c[far], s[far] = along[far] @ up, -across[far] @ up
+    size = np.maximum(np.sqrt(c * c + s * s), 1e-9)
+    c, s = (c / size)[:, None], (s / size)[:, None]
+    return c * a + s * b, c * b - s * a
 
 
 def _turns(position: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -105,3 +105,31 @@ class Leaf:
     tangent: np.ndarray | None = None
     surface_normal: np.ndarray | None = None
     distribution: str = "multi_ggx"
+
+
+def reduce_leaves(leaves: list[Leaf], count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(albedo (n, 3), emission (n, 3), alpha (n,)) float32 of a program's leaves."""
+    albedo, emission = np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32)
+    clear = np.zeros(count, np.float32)
+    for leaf in leaves:
+        weight = leaf.block[:, :3]
+        if leaf.kind == PRINCIPLED:
+            column = COLUMNS[PRINCIPLED].index
+            base, glow = column("base_color_r"), column("emission_r")
+            alpha = leaf.block[:, column("alpha"), None]
+            albedo += weight * alpha * leaf.block[:, base : base + 3]
+            emission += weight * alpha * leaf.block[:, glow : glow + 3]
+            clear += (weight * (1.0 - alpha)).mean(1)
+        elif leaf.kind == TRANSPARENT:
+            clear += weight.mean(1)
+        elif leaf.kind in (EMISSION, BACKGROUND):
+            emission += weight
+        elif leaf.kind == METALLIC:
+            base = COLUMNS[METALLIC].index("base_color_r")
+            albedo += weight * leaf.block[:, base : base + 3]
+        elif leaf.kind != HOLDOUT:
+            albedo += weight
+    alpha = np.clip(1.0 - np.nan_to_num(clear), 0.0, 1.0)
+    back = (1.0 / np.maximum(alpha, 1e-6))[:, None]
+    albedo, emission = np.nan_to_num(albedo), np.nan_to_num(emission)
+    return np.clip(albedo * back, 0.0, 1.0), np.maximum(emission * back, 0.0), alpha

@@ -230,10 +230,18 @@ class Program:
         means: rows (n,) of the points and what takes the place of `fine_values` or `image_values` there, where that
         was averaged.
         """
+        return self.fill_leaves(self.values(points), means)
+
+    def values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
+        """What `fill_leaves` takes."""
         with np.errstate(all="ignore"):
-            memo = self._plan.run(points)
-        for rows, values in means:
-            for name, value in values.items():
+            return self._plan.run(points)
+
+    def fill_leaves(self, values: dict, means: Sequence[tuple[np.ndarray, dict]] = ()) -> list[Leaf]:
+        """`evaluate`, of the values at the points."""
+        memo = dict(values)
+        for rows, others in means:
+            for name, value in others.items():
                 memo[name] = memo[name].copy()
                 memo[name][rows] = normalize(value) if name in self.fine_normals else value
         return [_fill(leaf, memo) for leaf in self.leaves]

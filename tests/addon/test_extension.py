@@ -47,8 +47,9 @@ def test_zip_holds_addon_manifest_and_engine(extension):
     assert all(p.relative_to(build_extension.PROJECT).as_posix() in packed for p in data)
 
 
-def test_wheels_needed_are_numba_and_openexr_but_not_numpy():
-    assert sorted(d.split(">")[0] for d in build_extension.dependencies()) == ["OpenEXR", "numba"]
+def test_wheels_needed_are_the_engines_but_not_numpy():
+    needed = sorted(d.split(">")[0] for d in build_extension.dependencies())
+    assert needed == ["OpenEXR", "numba", "threadpoolctl"]
 
 
 def test_works_under_an_extensions_name(extension, tmp_path):
