@@ -15,6 +15,7 @@ from pointmr_engine.multires.cones import Cones, direction_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
+from pointmr_engine.shading.bsdf.microfacet import smith_lambda
 from pointmr_engine.shading.bsdf.vector import row3
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 
@@ -43,6 +44,7 @@ class LobeCones(NamedTuple):
     ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
     rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
     behind: np.ndarray  # (N, 3) float32: of rays, factors of what surfaces reflect (lobe_rays.behind_glossy)
+    beckmann: np.ndarray  # (N,) bool: whose slopes are as a Gaussian has them, and not as GGX
 
 
 def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
@@ -58,13 +60,8 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
         np.zeros(n, np.bool_),
         np.zeros(n, f),
         np.ones((n, 3), f),
+        np.zeros(n, np.bool_),
     )
-
-
-@device
-def _smith(cosine, alpha2):
-    """Twice the visible share of facets, over the cosine (Smith; GGX)."""
-    return 2.0 / (cosine + math.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine))
 
 
 @device
@@ -103,6 +100,12 @@ def _in_core(c, m, x, y, z):
 
 
 @device
+def _of_slope(beckmann, square):
+    """How many facets have a slope, times a constant; square: of the slope over the lobe's roughness."""
+    return math.exp(-square) if beckmann else 1.0 / ((1.0 + square) * (1.0 + square))
+
+
+@device
 def _density(lobes: LobeCones, m, u, v, alpha2):
     """What the lobe of cone m sends through slopes (u, v), per area of slopes, times a constant; 0 in its core's."""
     c = lobes.cones
@@ -113,16 +116,19 @@ def _density(lobes: LobeCones, m, u, v, alpha2):
     dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
     if lobes.part[m] == 2 and _in_core(c, m - 1, dx, dy, dz):
         return 0.0
+    beckmann = lobes.beckmann[m]
     if nx * nx + ny * ny + nz * nz == 0.0:
-        r2 = (u * u + v * v) / (4.0 * alpha2)
-        return w / ((1.0 + r2) * (1.0 + r2))
+        return w * _of_slope(beckmann, (u * u + v * v) / (4.0 * alpha2))
     cosine = nx * dx + ny * dy + nz * dz
     if cosine <= 0.0:
         return 0.0
     hx, hy, hz = dx + lobes.incoming[m, 0], dy + lobes.incoming[m, 1], dz + lobes.incoming[m, 2]
     h = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
-    d = h * h * (alpha2 - 1.0) + 1.0
-    return w * cosine * _smith(cosine, alpha2) / (d * d)
+    if h <= 0.0:
+        return 0.0
+    h2, c2 = h * h, cosine * cosine
+    visible = 1.0 / (1.0 + smith_lambda(beckmann, alpha2 * (1.0 - c2) / c2))
+    return w * visible * _of_slope(beckmann, (1.0 - h2) / (h2 * alpha2)) / (h2 * h2)
 
 
 @device
@@ -186,7 +192,7 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
 
 @uncounted
 def weigh_sub_rays(lobes: LobeCones, count):
-    """Weights of the sub-rays of cones 0..count: equal for mirrors, by GGX for rough lobes."""
+    """Weights of the sub-rays of cones 0..count: equal for mirrors, by their distribution for rough lobes."""
     total = 0.0
     for m in range(count):
         if lobes.alpha[m] <= 0.0:

@@ -29,6 +29,7 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
 from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
+    BECKMANN,
     GLASS,
     IOR,
     KIND_MASK,
@@ -51,10 +52,8 @@ from pointmr_engine.shading.points import (
 )
 
 WIDE = 4.0  # half width of a lobe's cone, in slopes of its roughness: what lies beyond is left out ...
-CORE, REST = (
-    2.0,
-    10.0,
-)  # ... of lobes that matter, which have two: one for their middle, one for what is beside it
+# ... of lobes that matter, which have two: one for their middle, one for what is beside it, and a Gaussian less of it
+CORE, REST, REST_OF_GAUSSIAN = 2.0, 10.0, 5.0
 STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
 SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
 CLEAR = 0.25  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
@@ -299,33 +298,35 @@ def _reflect(
         flags = np.int64(NO_LAMPS)
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, abs(cosine), RAY_REFLECTION | RAY_GLOSSY | singular,
-        np.int64(0), flags, pdf, 0.0 if singular else rough, small, alone, nm, wi, out, m, record,
+        np.int64(0), flags, pdf, 0.0 if singular else rough, kind, small, alone, nm, wi, out, m, record,
     )  # fmt: skip
 
 
 @device
 def _open_cones(
-    paths, k, hits, frames, lobes, limits, w, d, axis, across, ray_kind, transmission, flags, pdf, alpha, small, alone,
-    normal, wi, out, m, record,
+    paths, k, hits, frames, lobes, limits, w, d, axis, across, ray_kind, transmission, flags, pdf, alpha, kind, small,
+    alone, normal, wi, out, m, record,
 ):  # fmt: skip
     """The cone of a lobe about direction d, or the two of one that matters; returns the next row.
 
     axis: the lobe's normal; across: how wide the cone is beside the plane of incidence (open_cone). alpha: roughness of
-    a mirror that spreads as much, 0 of what is sharp. normal: of a lobe that reflects, else 0. Others as of `_reflect`.
+    a mirror that spreads as much, 0 of what is sharp; kind: of the lobe; normal: of one that reflects, else 0. Others
+    as of `_reflect`.
     """
+    beckmann = kind & BECKMANN != 0
     two = alpha > 0.0 and not small and not alone and _largest(w) > STRONG
     wide = min(2.0 * alpha * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
     for part in range(2 if two else 1):
         if part == 1:
-            wide *= REST / CORE
+            wide *= (REST_OF_GAUSSIAN if beckmann else REST) / CORE
         go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               ray_kind, np.int64(1) - transmission, transmission)  # fmt: skip
         out.flags[m] |= flags
         out.bsdf_pdf[m] = pdf
         out.state.spread[m] = paths.state.spread[k]
         open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
-        record.alpha[m] = alpha
+        record.alpha[m], record.beckmann[m] = alpha, beckmann
         record.part[m] = part + 1 if two else 0
         record.ray[m] = small
         for c in range(3):
@@ -385,5 +386,5 @@ def _refract(
     flags = np.int64(SEES_LAMPS) if glints and rough < NARROW else np.int64(0)
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
-        flags, math.inf, 0.0 if singular else bend, small, alone, (0.0, 0.0, 0.0), wi, out, m, record,
+        flags, math.inf, 0.0 if singular else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record,
     )  # fmt: skip

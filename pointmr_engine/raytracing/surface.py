@@ -279,13 +279,13 @@ def _mover(geometry, points, samples, every, direction, width):
     """SurfacePoints.moved: the same triangles' planes at other barycentric weights."""
     edges = []
 
-    def moved(offset: np.ndarray, needs: frozenset[str] | None = None) -> SurfacePoints:
+    def moved(offset: np.ndarray, needs: frozenset[str] | None = None, narrower=None) -> SurfacePoints:
         n, needs = len(samples.part), every if needs is None else needs
         times, rest = len(offset) // max(n, 1), needs - {"moved"}
         result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
         if times > 1:
             result = result.repeated(times, needs)
-        result.moved = lambda more, needs=None: moved(offset + more, needs)
+        result.moved = lambda more, needs=None, narrower=narrower: moved(offset + more, needs, narrower)
         if "position" in rest and result.position is not None:
             result.position, rest = result.position + offset, rest - {"position"}
         if not rest:
@@ -305,7 +305,7 @@ def _mover(geometry, points, samples, every, direction, width):
             frames_there = allocate_frames(len(offset))
             frames_of(geometry.tables, there, towards, frames_there)
         _fill_surface(geometry, result, there, frames_there, rest, towards, wide)
-        return result
+        return result if narrower is None else result.narrowed(narrower)
 
     return moved
 

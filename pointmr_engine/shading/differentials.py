@@ -31,17 +31,21 @@ def axes_at(points: SurfacePoints) -> tuple[np.ndarray, np.ndarray]:
 
 
 def moved_points(
-    points: SurfacePoints, offset: np.ndarray, needs: frozenset[str] | None = None
+    points: SurfacePoints,
+    offset: np.ndarray,
+    needs: frozenset[str] | None = None,
+    narrower: np.ndarray | None = None,
 ) -> SurfacePoints:
     """The points moved by world offsets (N, 3) in their surfaces' planes; exact where `points.moved` is given.
 
     (K N, 3): all points once by the first N, again by the next, and so on.
 
     needs: the only fields that are read there. Without `points.moved` positions move, UVs follow the layer's tangent
-    and footprint where both are known, the rest stays.
+    and footprint where both are known, the rest stays. narrower (N,): over what part of the footprints images are
+    filtered there, and at points that these are moved to.
     """
     if points.moved is not None:
-        return points.moved(offset, needs)
+        return points.moved(offset, needs, narrower)
     if len(offset) > points.count:
         points = points.repeated(len(offset) // points.count)
     changes: dict = {}
@@ -62,4 +66,5 @@ def moved_points(
             scale = width / np.maximum(points.footprint, 1e-20)
             uvs[layer] = uv + np.stack([dot(offset, tangent) * scale, dot(offset, bitangent) * scale], -1)
         changes["uvs"] = uvs
-    return replace(points, **changes)
+    moved = replace(points, **changes)
+    return moved if narrower is None else moved.narrowed(narrower)

@@ -10,6 +10,7 @@ at places along it, as wide as it is wide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -126,7 +127,9 @@ def stretched_means(
         steep = np.maximum(cosine[index], GRAZING).astype(np.float64)
         places = np.linspace(-0.5, 0.5, count)[:, None, None]
         # places have their own width, which is that of the whole footprint across the view
-        return _values_at(run, points, places * ((1.0 - steep)[:, None] * b), needs, np.sqrt(steep))
+        return _values_at(
+            run, points, places * ((1.0 - steep)[:, None] * b), needs, np.sqrt(steep).astype(np.float32)
+        )
 
     first = along(np.arange(len(rows)), FIRST)
     mean = {name: v.mean(0) for name, v in first.items()}
@@ -174,19 +177,18 @@ def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end:
     places -= 0.5
     offset = places[0][..., None] * a
     offset += places[1][..., None] * b
-    return _values_at(run, points, offset, needs), places, np.stack([a, b])
+    # places stand for a part of the footprint each
+    narrower = np.full(len(rows), 1.0 / math.sqrt(end), np.float32)
+    return _values_at(run, points, offset, needs, narrower), places, np.stack([a, b])
 
 
-def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs, narrower=None) -> dict:
+def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs, narrower: np.ndarray) -> dict:
     """Values (count, n, ...) at the n points moved by offset (count, n, 3), all in one batch.
 
-    narrower (n,): of the footprints of UVs, which are as large as those on the oblique surface.
+    narrower (n,): what images are filtered over there, against the footprint on the oblique surface.
     """
     count, n = offset.shape[:2]
-    moved = moved_points(points, offset.reshape(-1, 3), needs)
-    if narrower is not None:
-        scale = np.tile(narrower.astype(np.float32), count)
-        moved.uv_footprints = {k: v * scale for k, v in moved.uv_footprints.items()}
+    moved = moved_points(points, offset.reshape(-1, 3), needs, narrower)
     # far outside a triangle its normals go anywhere; how the surface itself bends is not a matter of textures
     for name in ("normal", "smooth_normal"):
         if getattr(moved, name) is not None:

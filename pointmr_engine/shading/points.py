@@ -35,6 +35,7 @@ class SurfacePoints:
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32 (missing: zeros)
     instance_attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32
     footprint: np.ndarray | None = None  # (N,) float32, width of the ray's footprint at the point, metres
+    narrower: np.ndarray | None = None  # (N,) float32: of it, over what images are filtered
     footprints: float = 1.0  # of these to the width of a pixel, which bumps are differenced over
     barycentric: np.ndarray | None = None  # (N, 2) float32
     object_location: np.ndarray | None = None  # (N, 3) float32
@@ -44,8 +45,8 @@ class SurfacePoints:
     material_index: int = 0
     # moved(offset (N, 3) float32, world, needs): the points there, in the plane of each one's triangle, with the fields
     # that `needs` names (None: the same) filled; bump mapping differences its height through it (needs: "moved").
-    # (K N, 3): all points once by the first N, again by the next, and so on
-    moved: Callable[[np.ndarray, frozenset[str] | None], SurfacePoints] | None = None
+    # (K N, 3): all points once by the first N, again by the next, and so on. A third argument: `narrowed` by it
+    moved: Callable[..., SurfacePoints] | None = None
     axes: tuple[np.ndarray, np.ndarray] | None = None  # kept by differentials.axes_at
     # the ray that came here
     ray_kind: np.ndarray | None = None  # (N,) uint8: bits RAY_* below
@@ -68,6 +69,12 @@ class SurfacePoints:
             elif isinstance(value, np.ndarray) and f.name != "camera_from_world":
                 changes[f.name] = _tiled(value, times) if needs is None or f.name in needs else None
         return replace(self, **changes)
+
+    def narrowed(self, by: np.ndarray) -> SurfacePoints:
+        """The points, where images are filtered over a part of the footprints; by (N,) float32, or that of so many
+        times fewer points.
+        """
+        return replace(self, narrower=np.tile(by, self.count // len(by)))
 
 
 def _tiled(values: np.ndarray, times: int) -> np.ndarray:

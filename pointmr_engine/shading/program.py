@@ -115,12 +115,12 @@ def _columns(leaves: list[LeafPlan], decided: list[bool]) -> list[Slot]:
 
 
 def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> tuple[list[Slot], list[Slot]]:
-    """The sources of columns, and of normals, that fine nodes decide.
+    """The sources of columns that fine nodes decide, and of normals that fine nodes or images do.
 
     A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it,
     which is worth telling from their mean where lobes may be sharp.
     """
-    bent = _decided(steps, lambda t: t.fine, through=True)
+    bent = _decided(steps, lambda t: t.fine or t.footprint is not None, through=True)
     sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
     normals = [s for leaf in sharp for name, s in leaf.normals.items() if name != "tangent"]
     return (

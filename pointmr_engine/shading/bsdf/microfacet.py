@@ -108,7 +108,7 @@ def _scaled_film(film, f0, f0_real):
 
 
 @device
-def _lambda(beckmann, square):
+def smith_lambda(beckmann, square):
     """Smith's auxiliary function; square = (alpha tan)^2."""
     if not beckmann:
         return 0.5 * (math.sqrt(1.0 + square) - 1.0)
@@ -178,16 +178,20 @@ def evaluate(kind, data, i, j, film_table, wi, wo):
         iy = alpha_y * dot(y, wi)
         ox = alpha_x * dot(x, wo)
         oy = alpha_y * dot(y, wo)
-        lambda_i = _lambda(beckmann, (ix * ix + iy * iy) / (cos_ni * cos_ni))
-        lambda_o = _lambda(beckmann, (ox * ox + oy * oy) / (cos_no * cos_no)) if cos_no != 0.0 else math.inf
+        lambda_i = smith_lambda(beckmann, (ix * ix + iy * iy) / (cos_ni * cos_ni))
+        lambda_o = (
+            smith_lambda(beckmann, (ox * ox + oy * oy) / (cos_no * cos_no)) if cos_no != 0.0 else math.inf
+        )
     else:
         across = cross(normal, half)
         sin2 = dot(across, across)
         total = sin2 + z2
         d = _distribution(beckmann, sin2 / (total * alpha2), 0.0, z2 / total, alpha2)
-        lambda_i = _lambda(beckmann, alpha2 * max(1.0 / (cos_ni * cos_ni) - 1.0, 0.0))
+        lambda_i = smith_lambda(beckmann, alpha2 * max(1.0 / (cos_ni * cos_ni) - 1.0, 0.0))
         lambda_o = (
-            _lambda(beckmann, alpha2 * max(1.0 / (cos_no * cos_no) - 1.0, 0.0)) if cos_no != 0.0 else math.inf
+            smith_lambda(beckmann, alpha2 * max(1.0 / (cos_no * cos_no) - 1.0, 0.0))
+            if cos_no != 0.0
+            else math.inf
         )
 
     common = d / cos_ni

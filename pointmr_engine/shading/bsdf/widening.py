@@ -11,6 +11,7 @@ from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
     BECKMANN,
+    HAS_EVALUATION,
     KIND_MASK,
     SINGULAR_ALPHA_SQUARED,
     SINGULAR_LOBE,
@@ -51,6 +52,7 @@ def widen_lobes(lobes, rows, variance):
         i = rows[k]
         for j in range(np.int64(lobes.count[i])):
             if is_glossy(lobes.kind[i, j]):
+                lobes.flags[i] |= HAS_EVALUATION  # a mirror no longer, which light samples are worth
                 if extra > np.float64(lobes.data[i, j, ALPHA_X]) * np.float64(lobes.data[i, j, ALPHA_Y]):
                     lobes.kind[i, j] = lobes.kind[i, j] | BECKMANN
                 set_roughness(

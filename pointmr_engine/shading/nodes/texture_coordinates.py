@@ -80,7 +80,11 @@ def _uv_map(c: Call) -> np.ndarray:
     reads=lambda params, wanted: (f"uv_footprint:{params.get('layer', '')}",),
 )
 def _uv_footprint(c: Call) -> np.ndarray:
-    return c.points.uv_footprints[c.params.get("layer", "")]
+    return _narrowed(c, c.points.uv_footprints[c.params.get("layer", "")])
+
+
+def _narrowed(c: Call, width: np.ndarray) -> np.ndarray:
+    return width if c.points.narrower is None else width * c.points.narrower
 
 
 @node(
@@ -93,4 +97,4 @@ def _uv_footprint(c: Call) -> np.ndarray:
 def _difference_footprint(c: Call) -> np.ndarray:
     """Width of a coordinate's footprint by moving the point one footprint along two axes."""
     a, b = (length(c.moved("vector", axis, 1.0) - c["vector"]) for axis in (0, 1))
-    return np.sqrt(a * b)
+    return _narrowed(c, np.sqrt(a * b))
