@@ -127,9 +127,8 @@ def stretched_means(
         steep = np.maximum(cosine[index], GRAZING).astype(np.float64)
         places = np.linspace(-0.5, 0.5, count)[:, None, None]
         # places have their own width, which is that of the whole footprint across the view
-        return _values_at(
-            run, points, places * ((1.0 - steep)[:, None] * b), needs, np.sqrt(steep).astype(np.float32)
-        )
+        offset = places * ((1.0 - steep)[:, None] * b)
+        return _values_at(run, points, offset, needs, of_uvs=np.sqrt(steep))
 
     first = along(np.arange(len(rows)), FIRST)
     mean = {name: v.mean(0) for name, v in first.items()}
@@ -182,13 +181,17 @@ def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end:
     return _values_at(run, points, offset, needs, narrower), places, np.stack([a, b])
 
 
-def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs, narrower: np.ndarray) -> dict:
+def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs, narrower=None, of_uvs=None) -> dict:
     """Values (count, n, ...) at the n points moved by offset (count, n, 3), all in one batch.
 
-    narrower (n,): what images are filtered over there, against the footprint on the oblique surface.
+    narrower (n,): over what part of the footprints images are filtered there; of_uvs (n,): of the footprints of UVs,
+    which are as large as those on the oblique surface.
     """
     count, n = offset.shape[:2]
     moved = moved_points(points, offset.reshape(-1, 3), needs, narrower)
+    if of_uvs is not None:
+        scale = np.tile(of_uvs.astype(np.float32), count)
+        moved.uv_footprints = {k: v * scale for k, v in moved.uv_footprints.items()}
     # far outside a triangle its normals go anywhere; how the surface itself bends is not a matter of textures
     for name in ("normal", "smooth_normal"):
         if getattr(moved, name) is not None:
