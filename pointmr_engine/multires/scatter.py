@@ -29,6 +29,7 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
 from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
+    ASHIKHMIN_SHIRLEY,
     BECKMANN,
     GLASS,
     IOR,
@@ -313,7 +314,9 @@ def _open_cones(
     a mirror that spreads as much, 0 of what is sharp; kind: of the lobe; normal: of one that reflects, else 0. Others
     as of `_reflect`.
     """
-    beckmann = kind & BECKMANN != 0
+    beckmann = (
+        kind & BECKMANN != 0 or kind & KIND_MASK == ASHIKHMIN_SHIRLEY
+    )  # a power of the cosine is nearly one
     two = alpha > 0.0 and not small and not alone and _largest(w) > STRONG
     wide = min(2.0 * alpha * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
