@@ -279,8 +279,9 @@ class FragmentPaths(Workspace):
         n = self.meet(self.tile, now, then, count, 0)
         if space.textures is not None:
             slopes_in_image(
-                image.view, image.camera.camera_from_world, f, first_, self.own_slopes, n_, space.textures
-            )
+                image.view, image.camera.camera_from_world, f, first_, self.own_slopes, np.float64(space.cell), n_,
+                space.textures,
+            )  # fmt: skip
         then.slot[:n] += base
         self.leave(then, n, base, count)
         self.samples = self.every

@@ -9,7 +9,7 @@ from pointmr_engine.forward.pixel_filter import Slopes
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.footprint_slopes import TextureSlopes
 
-FLAT = 1e-3  # of their product: what sides seen edge on span in the image
+WHOLE = 0.5  # of a cell: what a footprint must cover of it, beyond which nothing is known
 MOST = 3.0  # of a fragment's light: greatest difference at the corners of its footprint
 
 
@@ -41,9 +41,12 @@ def _in_image(view, camera_from_world, f: Fragments, k, side):
 
 @uncounted
 def slopes_in_image(
-    view, camera_from_world, fragments: Fragments, first, textures: TextureSlopes, count, out: Slopes
+    view, camera_from_world, fragments: Fragments, first, textures: TextureSlopes, cell, count, out: Slopes
 ):
-    """Slopes of fragments first..first + count, in parts of their light and per subpixel: NaN where none are known."""
+    """Slopes of fragments first..first + count, in parts of their light and per subpixel: NaN where none are known.
+
+    cell: subpixels per side of a fragment's part of the image.
+    """
     f = fragments
     for n in range(count):
         k = first + n
@@ -53,7 +56,7 @@ def slopes_in_image(
         ax, ay = _in_image(view, camera_from_world, f, k, textures.sides[0, n])
         bx, by = _in_image(view, camera_from_world, f, k, textures.sides[1, n])
         det = ax * by - ay * bx
-        if not abs(det) > FLAT * np.sqrt((ax * ax + ay * ay) * (bx * bx + by * by)):
+        if not abs(det) > WHOLE * cell * cell:
             out.x[k, 0] = np.nan
             continue
         for c in range(3):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,7 +16,14 @@ from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
 from pointmr_engine.shading.bsdf.widening import widen_lobes
-from pointmr_engine.shading.footprint_mean import OBLIQUE, footprint_means, slope_variance, stretched_means
+from pointmr_engine.shading.footprint_mean import (
+    OBLIQUE,
+    Slopes,
+    footprint_means,
+    normal_means,
+    slope_variance,
+    stretched_means,
+)
 from pointmr_engine.shading.footprint_slopes import TextureSlopes, fill_slopes
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_SINGULAR
 from pointmr_engine.shading.program import Program
@@ -64,6 +72,18 @@ def rows_by_material(material, wanted, n, materials, order):
             order[place[m]] = k
             place[m] += 1
     return start
+
+
+class Means(NamedTuple):
+    """Textures of a batch, averaged over footprints."""
+
+    values: list[tuple[np.ndarray, dict]]  # for program.fill_leaves
+    slopes: Slopes | None  # of fine textures
+    rows: np.ndarray | None  # (n,) of points whose normals were averaged ...
+    variance: np.ndarray | None  # ... (n,) float32 and the variance of slopes there, or None
+
+
+NO_MEANS = Means([], None, None, None)
 
 
 class Shader:
@@ -115,41 +135,48 @@ class Shader:
             if not len(rows):
                 continue
             points = self._gather(rays, hits, frames, rows, program.needs, state, m)
-            means, changes = self._means(program, rays, hits, frames, view, rows, state, m)
+            means = self._means(program, rays, hits, frames, view, rows, state, m)
             values = program.values(points)
-            leaves = program.fill_leaves(values, means)
-            if slopes is not None and changes is not None:
-                fill_slopes(program, values, means, leaves, changes, rows, slopes)
+            leaves = program.fill_leaves(values, means.values)
+            if slopes is not None and means.slopes is not None:
+                fill_slopes(program, values, means.values, leaves, means.slopes, rows, slopes)
             for leaf in leaves:
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
-            if means and program.fine_normals:
-                seen, values = means[0]
-                normals = [values[name] for name in program.fine_normals]
-                widen_lobes(out, rows[seen], slope_variance(normals))
+            if means.variance is not None:
+                widen_lobes(out, means.rows, means.variance)
 
-    def _means(self, program: Program, rays, hits, frames, view, rows, state, material):
-        """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones, and
-        images where it is seen obliquely; and the slopes of the fine ones, or None.
+    def _means(self, program: Program, rays, hits, frames, view, rows, state, material) -> Means:
+        """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
+        normals, and images where it is seen obliquely.
         """
-        if not (program.fine_needs or program.image_needs):
-            return [], None
+        if not (program.fine_needs or program.normal_needs or program.image_needs):
+            return NO_MEANS
         seen = np.flatnonzero(
             ((state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0)
             & ((state.width[rows] > 0) | (state.spread[rows] > 0))
         )
         if not len(seen):
-            return [], None
+            return NO_MEANS
 
         def points(needs: frozenset[str]):
             return lambda index: self._gather(rays, hits, frames, index, needs, state, material)
 
-        means, slopes = [], None
+        means, slopes, variance = [], None, None
         if program.fine_needs:
             found, slopes = footprint_means(
-                program.fine_values, points(program.fine_needs), rows[seen], program.fine_reads, self.seed,
-                program.fine_normals, program.fine_columns,
-            )  # fmt: skip
+                program.fine_values, points(program.fine_needs), rows[seen], program.fine_reads, self.seed
+            )
             means.append((seen, found))
+        if program.normal_needs:
+            normals = normal_means(
+                program.normal_values,
+                points(program.normal_needs),
+                rows[seen],
+                program.normal_reads,
+                self.seed,
+            )
+            means.append((seen, normals))
+            variance = slope_variance(list(normals.values()))
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
             oblique = np.flatnonzero(cosine < OBLIQUE)
@@ -159,7 +186,7 @@ class Shader:
                     cosine[oblique],
                 )  # fmt: skip
                 means.append((seen[oblique], found))
-        return means, slopes and slopes._replace(rows=seen[slopes.rows])
+        return Means(means, slopes and slopes._replace(rows=seen[slopes.rows]), rows[seen], variance)
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

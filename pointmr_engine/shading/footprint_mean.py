@@ -51,25 +51,21 @@ def footprint_means(
     rows: np.ndarray,
     needs: frozenset[str],
     seed: int = 0,
-    few: frozenset = frozenset(),
-    rest: Callable[[SurfacePoints], dict] | None = None,
 ) -> tuple[dict, Slopes | None]:
     """Values by name, each (n,) or (n, 3) float32: the means over the footprints of points `rows` (n,).
 
     run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
-    with NEEDS. seed: another one has other places. few: names of values for which the first places are enough;
-    rest(points): the others. Also returns the slopes of the others where they differ.
+    with NEEDS. seed: another one has other places. Also returns the slopes where values differ.
     """
     found, places, sides = _at_places(run, gather, rows, needs, seed, 0, FIRST)
     mean = {name: v.mean(0) for name, v in found.items()}
-    found = {name: found[name] for name in found.keys() - few}
     chosen, slopes = np.arange(len(rows)), None
     for begin, end, apart in ((FIRST, MORE, ALIKE), (MORE, ALL, CONTRAST)):
         differ = np.flatnonzero(_differ(found, apart))
         if not len(differ):
             break
         chosen, places = chosen[differ], places[:, :, differ]
-        others, other_places, sides = _at_places(rest or run, gather, rows[chosen], needs, seed, begin, end)
+        others, other_places, sides = _at_places(run, gather, rows[chosen], needs, seed, begin, end)
         found = {name: np.concatenate([v[:, differ], others[name]]) for name, v in found.items()}
         places = np.concatenate([places, other_places], 1)
         for name, v in found.items():
@@ -77,6 +73,15 @@ def footprint_means(
         along = _planes(places.astype(np.float32), found)
         slopes = Slopes(chosen, sides, along) if slopes is None else _with(slopes, differ, along)
     return mean, slopes
+
+
+def normal_means(run, gather, rows: np.ndarray, needs: frozenset[str], seed: int = 0) -> dict:
+    """`footprint_means` of normals (n, 3), at the first places: the shorter, the more they differ.
+
+    Images are filtered there over the part of the footprint that a place stands for.
+    """
+    found, _, _ = _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))
+    return {name: v.mean(0) for name, v in found.items()}
 
 
 def _with(slopes: Slopes, rows: np.ndarray, along: tuple[dict, dict]) -> Slopes:
@@ -134,7 +139,7 @@ def stretched_means(
     mean = {name: v.mean(0) for name, v in first.items()}
     more = np.flatnonzero((cosine < FAR) & _differ(first, ALIKE))
     if len(more):
-        for name, v in along(more, ALL).items():
+        for name, v in along(more, MORE).items():
             mean[name][more] = v.mean(0)
     return mean
 
@@ -165,9 +170,10 @@ def slope_variance(means: list[np.ndarray]) -> np.ndarray:
     return np.maximum(1.0 / np.maximum(length, 0.1) - 1.0, 0.0).astype(np.float32) * np.float32(OF_FEW)
 
 
-def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int):
+def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end: int, narrower=None):
     """Values (end - begin, n, ...) at places begin..end of the footprints of points `rows`, all in one batch; these
-    places (2, end - begin, n) along the footprints' sides, from -0.5 to 0.5, and the sides (2, n, 3).
+    places (2, end - begin, n) along the footprints' sides, from -0.5 to 0.5, and the sides (2, n, 3). narrower: over
+    what part of the footprint images are filtered.
     """
     points = gather(rows)
     a, b = _turned(points, *_axes(points))
@@ -176,8 +182,8 @@ def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end:
     places -= 0.5
     offset = places[0][..., None] * a
     offset += places[1][..., None] * b
-    # places stand for a part of the footprint each
-    narrower = np.full(len(rows), 1.0 / math.sqrt(end), np.float32)
+    if narrower is not None:
+        narrower = np.full(len(rows), narrower, np.float32)
     return _values_at(run, points, offset, needs, narrower), places, np.stack([a, b])
 
 

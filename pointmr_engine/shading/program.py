@@ -164,9 +164,8 @@ class Program:
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
     transparency_needs, emission_needs: the same for `transparency` and `emission`. fine_reads: for `fine_values`;
-        fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine. fine_normals: which
-        of these values are normals, whose means are the shorter the more they differ. image_reads, image_needs: the
-        same for `image_values`.
+        fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine. normal_reads,
+        normal_needs, image_reads, image_needs: the same for `normal_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     opaque: light never passes straight through; emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never
@@ -199,20 +198,21 @@ class Program:
         self._transparency_plan = Plan(clear_steps, self._transparency)
         self._emission_plan = Plan(steps, emission)
         columns, normals = fine_slots(steps, leaves) if filtered and kind == "surface" else ([], [])
-        fine = columns + normals
-        self._fine_plan = Plan(steps, fine) if fine else None
-        self._column_plan = Plan(steps, columns)
-        self._column_names = {(s.step, s.output) for s in columns}
+        self._fine_plan = Plan(steps, columns)
+        self._fine_names = {(s.step, s.output) for s in columns}
+        self._normal_plan = Plan(steps, normals)
+        self._normal_names = {(s.step, s.output) for s in normals}
         images = image_slots(steps, leaves) if filtered and kind == "surface" else []
         images = [s for s in images if s not in columns]
         self._image_plan = Plan(steps, images)
         self._image_names = {(s.step, s.output) for s in images}
         self.image_reads: frozenset[str] = self._image_plan.needs
         self.image_needs: frozenset[str] = self.image_reads | NEEDS if images else frozenset()
-        self.fine_normals: frozenset = frozenset((s.step, s.output) for s in normals)
         self.needs: frozenset[str] = self._plan.needs
-        self.fine_reads: frozenset[str] = self._fine_plan.needs if fine else frozenset()
-        self.fine_needs: frozenset[str] = self.fine_reads | NEEDS if fine else frozenset()
+        self.fine_reads: frozenset[str] = self._fine_plan.needs
+        self.fine_needs: frozenset[str] = self.fine_reads | NEEDS if columns else frozenset()
+        self.normal_reads: frozenset[str] = self._normal_plan.needs
+        self.normal_needs: frozenset[str] = self.normal_reads | NEEDS if normals else frozenset()
         self.transparency_needs: frozenset[str] = self._transparency_plan.needs
         self.emission_needs: frozenset[str] = self._emission_plan.needs
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
@@ -227,8 +227,8 @@ class Program:
     def evaluate(self, points: SurfacePoints, means: Sequence[tuple[np.ndarray, dict]] = ()) -> list[Leaf]:
         """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies. Blocks are read-only.
 
-        means: rows (n,) of the points and what takes the place of `fine_values` or `image_values` there, where that
-        was averaged.
+        means: rows (n,) of the points and what takes the place of `fine_values`, `normal_values` or `image_values`
+        there, where that was averaged.
         """
         return self.fill_leaves(self.values(points), means)
 
@@ -243,20 +243,20 @@ class Program:
         for rows, others in means:
             for name, value in others.items():
                 memo[name] = memo[name].copy()
-                memo[name][rows] = normalize(value) if name in self.fine_normals else value
+                memo[name][rows] = normalize(value) if name in self._normal_names else value
         return [_fill(leaf, memo) for leaf in self.leaves]
 
     def fine_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
         """What fine textures decide (shading.footprint_mean), by names of its own; reads `fine_reads`."""
         with np.errstate(all="ignore"):
             memo = self._fine_plan.run(points)
-        return {name: memo[name] for name in self._column_names | self.fine_normals}
+        return {name: memo[name] for name in self._fine_names}
 
-    def fine_columns(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
-        """`fine_values` without the normals, whose bumps are evaluated at several points for each."""
+    def normal_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
+        """Normals that fine textures and images bend, of what may be sharp; reads `normal_reads`."""
         with np.errstate(all="ignore"):
-            memo = self._column_plan.run(points)
-        return {name: memo[name] for name in self._column_names}
+            memo = self._normal_plan.run(points)
+        return {name: memo[name] for name in self._normal_names}
 
     def image_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
         """What images decide and nothing fine does, by names of its own; reads `image_reads`."""

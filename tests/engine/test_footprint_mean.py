@@ -23,6 +23,7 @@ from pointmr_engine.shading.footprint_mean import (
     MORE,
     NEEDS,
     footprint_means,
+    normal_means,
     slope_variance,
     stretched_means,
 )
@@ -303,19 +304,19 @@ def test_only_what_is_fine_and_filtered_is_averaged():
     assert compile_graph(plain).fine_needs == frozenset()
     assert compile_graph(checkered(), filtered=False).fine_needs == frozenset()
     assert compile_graph(checkered()).fine_needs >= NEEDS
-    assert compile_graph(checkered()).fine_normals == frozenset()
+    assert compile_graph(checkered()).normal_needs == frozenset()
     # the normals that bumps bend are, and what differences heights for a column is not
     program = compile_graph(bumpy(Node("glossy", {"roughness": 0.1})))
-    assert program.fine_needs >= NEEDS and len(program.fine_normals) == 1
+    assert program.normal_needs >= NEEDS and program.fine_needs == frozenset()
     # not those of lobes that are wider than what a bump would make of them
     for blunt in (
         Node("diffuse"),
         Node("glossy", {"roughness": 0.5}),
         Node("principled", {"roughness": 0.5}),
     ):
-        assert compile_graph(bumpy(blunt)).fine_needs == frozenset(), blunt
+        assert compile_graph(bumpy(blunt)).normal_needs == frozenset(), blunt
     for sharp in ({"roughness": 0.3}, {"roughness": 0.5, "coat_weight": 0.5, "coat_roughness": 0.1}):
-        assert compile_graph(bumpy(Node("principled", sharp))).fine_normals, sharp
+        assert compile_graph(bumpy(Node("principled", sharp))).normal_needs, sharp
     graph = checkered(shader="emission")
     graph.nodes["b"] = Node("bump", {"height": Link("t", "fac")})
     graph.nodes["e"].inputs = {"color": Link("b", "normal")}
@@ -395,7 +396,7 @@ def test_places_beyond_a_triangle_have_the_normal_of_its_middle():
         seen.append((there.normal, there.smooth_normal, there.tangents[""]))
         return {"normal": there.normal}
 
-    footprint_means(run, lambda rows: points, np.arange(50), frozenset({"normal"}), 0, frozenset({"normal"}))
+    normal_means(run, lambda rows: points, np.arange(50), frozenset({"normal"}))
     for found, own in zip(seen[0], (points.normal, points.normal, points.tangents[""]), strict=True):
         np.testing.assert_array_equal(found, np.tile(own, (FIRST, 1)))
 
@@ -406,10 +407,10 @@ def test_bumps_are_differenced_over_a_pixel_whatever_a_cone_is(cones):
     program = compile_graph(bumpy(Node("glossy", {"roughness": 0.1}), scale=4.0))
     points = plane_points(np.random.default_rng(5).random((200, 2)), 0.1)
     points.normal = points.geometric_normal
-    wide = program.fine_values(points).popitem()[1]
+    wide = program.normal_values(points).popitem()[1]
     narrow = plane_points(points.position[:, :2], 0.1 / cones)
     narrow.normal, narrow.footprints = narrow.geometric_normal, float(cones)
-    np.testing.assert_allclose(program.fine_values(narrow).popitem()[1], wide, atol=1e-4)
+    np.testing.assert_allclose(program.normal_values(narrow).popitem()[1], wide, atol=1e-4)
 
 
 @pytest.mark.parametrize(("method", "bound"), [("raytrace", 0.1), ("forward", 0.17)])
