@@ -6,7 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine.forward.pixel_filter import NO_SLOPES, allocate_slopes, filter_taps, filter_tile
+from pointmr_engine.forward.subpixels import View
 from pointmr_engine.multires.slopes import COLUMNS, ROOM, find_slopes
+from pointmr_engine.multires.texture_slopes import slopes_in_image, take_texture_slopes
+from pointmr_engine.shading.footprint_slopes import allocate_texture_slopes
 from tests.engine.test_raytrace_parts import fragments
 
 CELL, SIDE = 4, 6  # subpixels of a fragment, fragments a side
@@ -111,3 +114,45 @@ def test_the_filter_keeps_the_mean_and_shows_linear_light_as_it_is(gx, gy):
     np.testing.assert_allclose(
         half[inner], exact[inner], atol=0.025 * (abs(gx) + abs(gy)) + 1e-5
     )  # 1 without
+
+
+def in_image(perspective: bool, sides, change, depth=5.0):
+    """Slopes of the texture of one fragment aside of the view axis, of light 1."""
+    f = fragments(1)
+    f.position[0] = 0.4 * depth, -0.2 * depth, depth
+    scale = 8.0 * (depth if perspective else 1.0)  # subpixels per metre there: 8
+    view = View(perspective, scale, -scale, 0.0, 0.0, 0.1, 100.0, 0.0, 1.0)
+    textures, out = allocate_texture_slopes(1), allocate_slopes(1)
+    textures.known[0] = True
+    textures.sides[:, 0], textures.change[:, 0] = sides, np.asarray(change, np.float32)[:, None]
+    slopes_in_image(view, np.eye(4)[:3], f, np.int64(0), textures, np.float64(CELL), np.int64(1), out)
+    return out
+
+
+@settings(deadline=None)
+@pytest.mark.parametrize("perspective", [False, True])
+@given(st.floats(-0.6, 0.6), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.0, 6.0))
+def test_slopes_of_textures_are_those_that_the_image_shows(perspective, gx, gy, lean, turn):
+    """Of light that rises by gx and gy per cell, on a plane that leans; the footprint's sides are turned anyhow."""
+    depth, width = 5.0, 0.5  # of a cell: 4 subpixels
+    c, s = np.cos(turn), np.sin(turn)
+    sides = np.array([[c, s, 0.0], [-s, c, 0.0]]) * width
+    sides[:, 2] = lean * sides[:, 0]
+    x, y = sides[:, 0].copy(), sides[:, 1].copy()
+    if perspective:  # what moves away moves towards the middle, too
+        x, y = x - 0.4 * sides[:, 2], y + 0.2 * sides[:, 2]
+    found = in_image(perspective, sides, (gx * x - gy * y) / width, depth)
+    np.testing.assert_allclose(found.x[0], gx / CELL, atol=1e-5)
+    np.testing.assert_allclose(found.y[0], gy / CELL, atol=1e-5)
+
+
+def test_nothing_is_known_beyond_a_footprint():
+    """Cards with holes are looked at through a part of their cell: a plane of that would go astray in the rest."""
+    sides = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
+    assert np.isfinite(in_image(False, sides, (0.1, 0.1)).x[0]).all()
+    assert np.isnan(in_image(False, 0.6 * sides, (0.1, 0.1)).x[0, 0])
+    light = np.ones((1, 3), np.float32)
+    kept = allocate_slopes(1)
+    kept.x[:], kept.y[:] = 7.0, 7.0
+    take_texture_slopes(in_image(False, 0.6 * sides, (0.1, 0.1)), light, np.int64(1), kept)
+    assert (kept.x == 7.0).all() and (kept.y == 7.0).all()
