@@ -16,7 +16,7 @@ from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
 from pointmr_engine.shading.differentials import axes_at, moved_points
 from pointmr_engine.shading.footprint_mean import NEEDS
 from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION, Leaf
-from pointmr_engine.shading.nodes.registry import Call, NodeType
+from pointmr_engine.shading.nodes.registry import Call
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
 from pointmr_engine.shading.values import normalize
 
@@ -99,12 +99,12 @@ class Plan:
         return moved
 
 
-def _decided(steps: list[Step], by: Callable[[NodeType], bool], through: bool = False) -> list[bool]:
-    """Which steps are of a type that `by` names, or depend on one; through: what is differenced, too."""
+def _decided(steps: list[Step], by: Callable[[Step], bool], through: bool = False) -> list[bool]:
+    """Which steps `by` names, or depend on one that it does; through: what is differenced, too."""
     found: list[bool] = []
     for step in steps:
         below = any(found[s.step] for s in step.inputs.values() if isinstance(s, Slot))
-        found.append(by(step.type) or (below and (through or not step.type.differenced)))
+        found.append(by(step) or (below and (through or not step.type.differenced)))
     return found
 
 
@@ -114,24 +114,34 @@ def _columns(leaves: list[LeafPlan], decided: list[bool]) -> list[Slot]:
     return [s for s in columns if isinstance(s, Slot) and decided[s.step]]
 
 
-def fine_slots(steps: list[Step], leaves: list[LeafPlan]) -> tuple[list[Slot], list[Slot]]:
+def _is_image(step: Step) -> bool:
+    return step.type.footprint is not None
+
+
+def fine_slots(steps: list[Step], leaves: list[LeafPlan], opaque: bool) -> tuple[list[Slot], list[Slot]]:
     """The sources of columns that fine nodes decide, and of normals that fine nodes or images do.
 
     A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it,
-    which is worth telling from their mean where lobes may be sharp.
+    which is worth telling from their mean where lobes may be sharp. What jumps is fine on `opaque` materials: beside a
+    hole, it would show what is not there.
     """
-    bent = _decided(steps, lambda t: t.fine or t.footprint is not None, through=True)
+
+    def fine(step: Step) -> bool:
+        stepped = step.type.stepped
+        return step.type.fine or (opaque and stepped is not None and stepped(step.params))
+
+    bent = _decided(steps, lambda step: step.type.fine or _is_image(step), through=True)
     sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
     normals = [s for leaf in sharp for name, s in leaf.normals.items() if name != "tangent"]
     return (
-        _columns(leaves, _decided(steps, lambda t: t.fine)),
+        _columns(leaves, _decided(steps, fine)),
         [s for s in normals if isinstance(s, Slot) and bent[s.step]],
     )
 
 
 def image_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
     """The sources of columns that images decide, filtered over footprints."""
-    return _columns(leaves, _decided(steps, lambda t: t.footprint is not None))
+    return _columns(leaves, _decided(steps, _is_image))
 
 
 def _may_be_sharp(leaf: LeafPlan) -> bool:
@@ -197,7 +207,9 @@ class Program:
         self._emission = emission
         self._transparency_plan = Plan(clear_steps, self._transparency)
         self._emission_plan = Plan(steps, emission)
-        columns, normals = fine_slots(steps, leaves) if filtered and kind == "surface" else ([], [])
+        columns, normals = (
+            fine_slots(steps, leaves, not transparency) if filtered and kind == "surface" else ([], [])
+        )
         self._fine_plan = Plan(steps, columns)
         self._fine_names = {(s.step, s.output) for s in columns}
         self._normal_plan = Plan(steps, normals)

@@ -82,6 +82,7 @@ def _reads(params: dict, wanted: frozenset[str]) -> tuple[str, ...]:
     ignores=lambda params, wanted: () if params.get("projection") == "BOX" else ("shading_normal",),
     prepare=prepare,
     footprint="vector",
+    stepped=lambda params: params.get("interpolation") == "Closest",
 )
 def _image_texture(c: Call) -> dict[str, np.ndarray]:
     """params: image, projection "FLAT", "BOX", "SPHERE", "TUBE", blend, extension, interpolation.

@@ -70,7 +70,8 @@ class NodeType:
     differenced: inputs that it also evaluates at moved points. prepare(params): done once, when a graph is compiled.
     passes(params, constants): name of the input that is the result unchanged, or None.
     footprint: name of the vector input whose footprint it reads as the hidden input "footprint".
-    fine: it may vary within a footprint, at which it is not filtered (shading.footprint_mean).
+    fine: it may vary within a footprint, at which it is not filtered (shading.footprint_mean). stepped(params): it
+    jumps from one value to the next, so that what it is filtered to is not enough near by.
     """
 
     kind: str
@@ -85,6 +86,7 @@ class NodeType:
     passes: Callable[[dict[str, Any], dict[str, np.ndarray]], str | None] | None = None
     footprint: str | None = None
     fine: bool = False
+    stepped: Callable[[dict[str, Any]], bool] | None = None
 
 
 @dataclass(frozen=True)
