@@ -20,6 +20,7 @@ from pointmr_engine.shading.nodes.registry import Call
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
 from pointmr_engine.shading.values import normalize
 
+PLACES = frozenset({"position", "local", "generated", "uv", "attribute", "window"})
 BLUNT = 0.45  # roughness from which lobes are wider than what most bumps would make of them
 
 
@@ -118,17 +119,27 @@ def _is_image(step: Step) -> bool:
     return step.type.footprint is not None
 
 
+def _is_place(step: Step) -> bool:
+    """Whether it reads what differs from place to place of a footprint."""
+    return any(
+        need.partition(":")[0] in PLACES
+        for need in step.type.reads(step.params, frozenset(step.type.outputs))
+    )
+
+
 def fine_slots(steps: list[Step], leaves: list[LeafPlan], opaque: bool) -> tuple[list[Slot], list[Slot]]:
     """The sources of columns that fine nodes decide, and of normals that fine nodes or images do.
 
     A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it,
-    which is worth telling from their mean where lobes may be sharp. What jumps is fine on `opaque` materials: beside a
-    hole, it would show what is not there.
+    which is worth telling from their mean where lobes may be sharp. Steps that coordinates are cut into are fine, and
+    images that jump, of `opaque` materials: beside a hole, means would show what is not there.
     """
+    places = dict(zip(map(id, steps), _decided(steps, _is_place, through=True), strict=True))
 
     def fine(step: Step) -> bool:
-        stepped = step.type.stepped
-        return step.type.fine or (opaque and stepped is not None and stepped(step.params))
+        if step.type.fine or step.type.stepped is None:
+            return step.type.fine
+        return step.type.stepped(step.params) and places[id(step)] and (opaque or not _is_image(step))
 
     bent = _decided(steps, lambda step: step.type.fine or _is_image(step), through=True)
     sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]

@@ -89,7 +89,19 @@ OPERATIONS = {
 }
 
 
-@node("math", {"value": (FLOAT, 0.5), "value_b": (FLOAT, 0.5), "value_c": (FLOAT, 0.5)}, {"value": FLOAT})
+# what makes stripes and steps of coordinates
+STEPS = frozenset(
+    ("LESS_THAN", "GREATER_THAN", "SIGN", "COMPARE", "ROUND", "FLOOR", "CEIL", "TRUNC", "FRACT", "FRACTION", "MODULO",
+     "FLOORED_MODULO", "WRAP", "SNAP", "PINGPONG", "SINE", "COSINE", "TANGENT")
+)  # fmt: skip
+
+
+@node(
+    "math",
+    {"value": (FLOAT, 0.5), "value_b": (FLOAT, 0.5), "value_c": (FLOAT, 0.5)},
+    {"value": FLOAT},
+    stepped=lambda params: params.get("operation") in STEPS,
+)
 def _math(c: Call) -> np.ndarray:
     """params: operation as Blender names it, clamp."""
     operation = OPERATIONS.get(c.params.get("operation", "ADD"), OPERATIONS["ADD"])
@@ -130,6 +142,7 @@ def remap(kind: str, t: np.ndarray, steps: np.ndarray) -> np.ndarray:
         "steps": (FLOAT, 4.0),
     },
     {"value": FLOAT},
+    stepped=lambda params: params.get("interpolation") == "STEPPED",
 )
 def _map_range(c: Call) -> np.ndarray:
     """params: interpolation "LINEAR", "STEPPED", "SMOOTHSTEP", "SMOOTHERSTEP"; clamp."""

@@ -31,7 +31,13 @@ def _prepare(params: dict) -> dict:
     return {**params, "table": np.ascontiguousarray(params["table"], np.float32)}
 
 
-@node("color_ramp", {"fac": (FLOAT, 0.5)}, {"color": COLOR, "alpha": FLOAT}, prepare=_prepare)
+@node(
+    "color_ramp",
+    {"fac": (FLOAT, 0.5)},
+    {"color": COLOR, "alpha": FLOAT},
+    prepare=_prepare,
+    stepped=lambda params: not params.get("interpolate", True),
+)
 def _color_ramp(c: Call) -> dict[str, np.ndarray]:
     """params: table (m, 4) over 0..1; interpolate False for constant steps."""
     rgba = look_up(c.params["table"], c["fac"], c.params.get("interpolate", True))

@@ -71,7 +71,7 @@ class NodeType:
     passes(params, constants): name of the input that is the result unchanged, or None.
     footprint: name of the vector input whose footprint it reads as the hidden input "footprint".
     fine: it may vary within a footprint, at which it is not filtered (shading.footprint_mean). stepped(params): it
-    jumps from one value to the next, so that what it is filtered to is not enough near by.
+    does so if its inputs differ from place to place.
     """
 
     kind: str

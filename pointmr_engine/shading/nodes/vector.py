@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.numerics.transforms import inverse_linear
-from pointmr_engine.shading.nodes.math import _power, _sign, remap, wrap
+from pointmr_engine.shading.nodes.math import STEPS, _power, _sign, remap, wrap
 from pointmr_engine.shading.nodes.registry import FLOAT, VECTOR, Call, From, node
 from pointmr_engine.shading.values import (
     cross,
@@ -75,6 +75,7 @@ TO_VALUE = {
     "vector_math",
     {"vector": (VECTOR, 0.0), "vector_b": (VECTOR, 0.0), "vector_c": (VECTOR, 0.0), "scale": (FLOAT, 1.0)},
     {"vector": VECTOR, "value": FLOAT},
+    stepped=lambda params: params.get("operation") in STEPS,
 )
 def _vector_math(c: Call) -> dict[str, np.ndarray]:
     """params: operation as Blender names it."""
