@@ -50,10 +50,11 @@ def fill_slopes(
     middle = _sent(leaves, n)[at]
     scale = 1.0 / (STEP * np.maximum(middle, 1e-6))
     for side, changes in enumerate(slopes.along):
-        moved = {name: v.copy() for name, v in _replaced(values, means, changes.keys(), n).items()}
+        moved = _replaced(values, means, changes.keys(), n)
         for name, change in changes.items():
             moved[name][at] += np.float32(STEP) * change
-        out.change[side, rows[at]] = (_sent(program.fill_leaves({**values, **moved}), n)[at] - middle) * scale
+        beside = program.fill_leaves(values, [*means, (np.arange(n), moved)])
+        out.change[side, rows[at]] = (_sent(beside, n)[at] - middle) * scale
         out.sides[side, rows[at]] = slopes.sides[side]
     out.known[rows[at]] = True
 

@@ -22,11 +22,13 @@ from pointmr_engine.shading.footprint_mean import (
     GRAZING,
     MORE,
     NEEDS,
+    Slopes,
     footprint_means,
     normal_means,
     slope_variance,
     stretched_means,
 )
+from pointmr_engine.shading.footprint_slopes import allocate_texture_slopes, fill_slopes
 from pointmr_engine.shading.leaves import GLOSSY, Leaf
 from pointmr_engine.shading.lobes import allocate, append, reset
 from pointmr_engine.shading.points import SurfacePoints
@@ -284,6 +286,28 @@ def test_checks_of_one_cone_a_pixel_are_as_the_pixel_filter_makes_them(side, rms
     exact = 0.5 - 0.5 * stripes[:, None] * stripes
     found = looked_at(side, "raytrace")
     assert min(np.sqrt(((found - e) ** 2).mean()) for e in (exact, 1.0 - exact)) < rms
+
+
+def test_slopes_are_of_what_is_fine_alone():
+    """What an image was averaged to, beside a fine texture, is no change of it."""
+    graph = striped(
+        ("f", Node("checker_texture", {"vector": Link("c", "object"), "color1": WHITE, "color2": BLACK}))
+    )
+    graph.nodes["d"] = Node("diffuse", {"color": Link("f", "color")})
+    graph.nodes["e"] = Node("emission", {"color": Link("t", "color")})
+    graph.nodes["a"] = Node("add_shader", {"shader": Link("d", "bsdf"), "shader_b": Link("e", "emission")})
+    graph.surface = Link("a", "shader")
+    program, points = compile_graph(graph), plane_points([[0.2, 0.2], [0.4, 0.6]], 0.1)
+    (fine,), (image,), rows = program.fine_values(points), program.image_values(points), np.arange(2)
+    grey = np.full((2, 3), 0.5, np.float32)
+    means, values = [(rows, {fine: grey}), (rows, {image: 0.5 * grey})], program.values(points)
+    change = np.full((1, 3), 0.3, np.float32)
+    slopes = Slopes(rows[1:], np.ones((2, 1, 3)), ({fine: change}, {fine: 0 * change}))
+    found = allocate_texture_slopes(4)
+    leaves = program.fill_leaves(values, means)
+    fill_slopes(program, values, means, leaves, slopes, np.array([3, 1]), found)
+    assert found.known.tolist() == [False, True, False, False]
+    np.testing.assert_allclose(found.change[:, 1], [[0.3 / 0.75] * 3, [0.0] * 3], atol=1e-5)
 
 
 def floors_differ(material: Material) -> float:
