@@ -236,4 +236,6 @@ def _points(obj, m: np.ndarray, n: np.ndarray, position: np.ndarray) -> SurfaceP
         camera_from_world=np.linalg.inv(camera)[:3],
         window=screen.astype(np.float32),
     )
-    return replace(points, moved=lambda offset, needs=None: _points(obj, m, n, position + offset))
+    return replace(
+        points, moved=lambda offset, needs=None, narrower=None: _points(obj, m, n, position + offset)
+    )

@@ -105,7 +105,7 @@ def test_a_triangle_weighs_its_area_under_the_cells_gaussian(corners, cut):
     triangle(parts, [p[0], middle, p[2]], 0.5, entry=1)
     a, b = 1.0 - resolved(whole)[0], 1.0 - resolved(parts)[0]
     assert np.abs(a - b).max() < 0.25 and abs(a.sum() - b.sum()) < 0.05 * abs(area) + 0.3
-    assert abs(a.sum() - abs(area)) < 0.05 * abs(area) + 0.2
+    assert abs(a.sum() - abs(area)) < 0.06 * abs(area) + 0.3  # edges may lie along a line
 
 
 def test_surfels_that_tile_a_plane_leave_no_leak():
