@@ -229,7 +229,7 @@ def _turned(points: SurfacePoints, a: np.ndarray, b: np.ndarray) -> tuple[np.nda
     if points.camera_from_world is None:
         return a, b
     incoming, (right, up) = points.incoming.astype(np.float64), points.camera_from_world[:2, :3]
-    across = a / points.footprint[:, None]
+    across = a / np.maximum(points.footprint, 1e-30)[:, None]
     along = cross(across, incoming)
     along[dot(points.geometric_normal, incoming) < 0] *= -1.0
     c, s = across @ right, along @ right
