@@ -262,8 +262,6 @@ class Workspace:
             d /= np.linalg.norm(d, axis=1, keepdims=True)
         else:
             d[:, :2] = 0
-        world = np.einsum(
-            "nk,ck->nc", d, image.camera.world_from_camera[:, :3]
-        )  # BLAS would start threads for it
+        world = d @ image.camera.world_from_camera[:, :3].T
         background[y, x, :3] = image.sampler.environment.radiance(world, CAMERA)
         background[y, x, 3] = 1

@@ -323,9 +323,7 @@ class LensTiles(TracedTiles):
             d[:, 1] = (self.low + (y + 0.5) * s - image.view.shift_y) / image.view.scale_y
         d[:, :2] -= np.array([seen.x, seen.y]) / image.camera.lens[1]
         d /= np.linalg.norm(d, axis=1, keepdims=True)
-        world = np.einsum(
-            "nk,ck->nc", d, image.camera.world_from_camera[:, :3]
-        )  # BLAS would start threads for it
+        world = d @ image.camera.world_from_camera[:, :3].T
         weight = self.open_in_view[y, x]
         self.sky[y, x] += weight[:, None] * image.sampler.environment.radiance(world, CAMERA)
         self.open[y, x] += weight
