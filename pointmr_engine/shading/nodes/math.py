@@ -92,7 +92,7 @@ OPERATIONS = {
 # what makes stripes and steps of coordinates
 STEPS = frozenset(
     ("LESS_THAN", "GREATER_THAN", "SIGN", "COMPARE", "ROUND", "FLOOR", "CEIL", "TRUNC", "FRACT", "FRACTION", "MODULO",
-     "FLOORED_MODULO", "WRAP", "SNAP", "PINGPONG", "SINE", "COSINE", "TANGENT")
+     "FLOORED_MODULO", "WRAP", "SNAP", "PINGPONG")
 )  # fmt: skip
 
 
