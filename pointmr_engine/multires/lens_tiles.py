@@ -271,9 +271,8 @@ class LensTiles(TracedTiles):
             self.fragments, self.light, half, np.empty((n, COLUMNS), np.float32), slopes,
         )  # fmt: skip
         slopes.x[n:], slopes.y[n:] = 0.0, 0.0
-        own_size = np.searchsorted(
-            shared, 1 << MIXED
-        )  # others have footprints that are smaller than their cells
+        # of larger cells, footprints cover a part only
+        own_size = np.searchsorted(shared, 1 << MIXED)
         take_texture_slopes(self.textures, self.light, own_size, slopes)
         return slopes
 

@@ -15,7 +15,7 @@ from pointmr_engine.multires.cones import Cones, direction_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
-from pointmr_engine.shading.bsdf.microfacet import smith_lambda
+from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
 from pointmr_engine.shading.bsdf.vector import row3
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 
@@ -100,12 +100,6 @@ def _in_core(c, m, x, y, z):
 
 
 @device
-def _of_slope(beckmann, square):
-    """How many facets have a slope, times a constant; square: of the slope over the lobe's roughness."""
-    return math.exp(-square) if beckmann else 1.0 / ((1.0 + square) * (1.0 + square))
-
-
-@device
 def _density(lobes: LobeCones, m, u, v, alpha2):
     """What the lobe of cone m sends through slopes (u, v), per area of slopes, times a constant; 0 in its core's."""
     c = lobes.cones
@@ -118,7 +112,7 @@ def _density(lobes: LobeCones, m, u, v, alpha2):
         return 0.0
     beckmann = lobes.beckmann[m]
     if nx * nx + ny * ny + nz * nz == 0.0:
-        return w * _of_slope(beckmann, (u * u + v * v) / (4.0 * alpha2))
+        return w * distribution(beckmann, (u * u + v * v) / (4.0 * alpha2), 0.0, 1.0, alpha2)
     cosine = nx * dx + ny * dy + nz * dz
     if cosine <= 0.0:
         return 0.0
@@ -128,7 +122,7 @@ def _density(lobes: LobeCones, m, u, v, alpha2):
         return 0.0
     h2, c2 = h * h, cosine * cosine
     visible = 1.0 / (1.0 + smith_lambda(beckmann, alpha2 * (1.0 - c2) / c2))
-    return w * visible * _of_slope(beckmann, (1.0 - h2) / (h2 * alpha2)) / (h2 * h2)
+    return w * visible * distribution(beckmann, (1.0 - h2) / alpha2, 0.0, h2, alpha2)
 
 
 @device

@@ -140,9 +140,8 @@ class TracedTiles(Workspace):
         self.seen = np.empty((n, 2), np.int32)
         # of all fragments, of which there are `all`, the one that each has its light from
         self.stands, self.all = np.empty(n, np.int32), 0
-        self.textures = allocate_slopes(
-            n
-        )  # in parts of the light of those that are shaded; None: not asked for
+        # in parts of the light of those that are shaded; None: not asked for
+        self.textures = allocate_slopes(n)
         self.eyes = NO_EYES  # that see the fragments
         side = len(self.target.ids) // image.subpixels + 1
         self.used = np.zeros((side, side), np.int32)

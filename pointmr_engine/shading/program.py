@@ -6,7 +6,7 @@ and says what the program needs of a point. `Program.evaluate` then runs every r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,12 +100,12 @@ class Plan:
         return moved
 
 
-def _decided(steps: list[Step], by: Callable[[Step], bool], through: bool = False) -> list[bool]:
-    """Which steps `by` names, or depend on one that it does; through: what is differenced, too."""
+def _decided(steps: list[Step], own: list[bool], through: bool = False) -> list[bool]:
+    """Which steps are named by their `own`, or depend on one that is; through: what is differenced, too."""
     found: list[bool] = []
-    for step in steps:
+    for step, named in zip(steps, own, strict=True):
         below = any(found[s.step] for s in step.inputs.values() if isinstance(s, Slot))
-        found.append(by(step) or (below and (through or not step.type.differenced)))
+        found.append(named or (below and (through or not step.type.differenced)))
     return found
 
 
@@ -127,6 +127,10 @@ def _is_place(step: Step) -> bool:
     )
 
 
+def _is_stepped(step: Step) -> bool:
+    return step.type.stepped is not None and step.type.stepped(step.params)
+
+
 def fine_slots(steps: list[Step], leaves: list[LeafPlan], opaque: bool) -> tuple[list[Slot], list[Slot]]:
     """The sources of columns that fine nodes decide, and of normals that fine nodes or images do.
 
@@ -134,14 +138,13 @@ def fine_slots(steps: list[Step], leaves: list[LeafPlan], opaque: bool) -> tuple
     which is worth telling from their mean where lobes may be sharp. Steps that coordinates are cut into are fine, and
     images that jump, of `opaque` materials: beside a hole, means would show what is not there.
     """
-    places = dict(zip(map(id, steps), _decided(steps, _is_place, through=True), strict=True))
-
-    def fine(step: Step) -> bool:
-        if step.type.fine or step.type.stepped is None:
-            return step.type.fine
-        return step.type.stepped(step.params) and places[id(step)] and (opaque or not _is_image(step))
-
-    bent = _decided(steps, lambda step: step.type.fine or _is_image(step), through=True)
+    placed = _decided(steps, [_is_place(step) for step in steps], through=True)
+    fine = [
+        step.type.fine or (at and _is_stepped(step) and (opaque or not _is_image(step)))
+        for step, at in zip(steps, placed, strict=True)
+    ]
+    bends = [step.type.fine or _is_image(step) for step in steps]
+    bent = _decided(steps, bends, through=True)
     sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
     normals = [s for leaf in sharp for name, s in leaf.normals.items() if name != "tangent"]
     return (
@@ -152,7 +155,7 @@ def fine_slots(steps: list[Step], leaves: list[LeafPlan], opaque: bool) -> tuple
 
 def image_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
     """The sources of columns that images decide, filtered over footprints."""
-    return _columns(leaves, _decided(steps, _is_image))
+    return _columns(leaves, _decided(steps, [_is_image(step) for step in steps]))
 
 
 def _may_be_sharp(leaf: LeafPlan) -> bool:

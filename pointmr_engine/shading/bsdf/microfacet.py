@@ -119,7 +119,7 @@ def smith_lambda(beckmann, square):
 
 
 @device
-def _distribution(beckmann, x2, y2, z2, alpha2):
+def distribution(beckmann, x2, y2, z2, alpha2):
     """Normal distribution; x2, y2 are the half vector's tangential components over alpha, squared, z2 its cosine's."""
     if beckmann:
         return math.exp(-(x2 + y2) / z2) / (math.pi * alpha2 * z2 * z2) if z2 > 0.0 else 0.0
@@ -173,7 +173,7 @@ def evaluate(kind, data, i, j, film_table, wi, wo):
         total = hx * hx + hy * hy + z2
         hx /= alpha_x
         hy /= alpha_y
-        d = _distribution(beckmann, hx * hx / total, hy * hy / total, z2 / total, alpha2)
+        d = distribution(beckmann, hx * hx / total, hy * hy / total, z2 / total, alpha2)
         ix = alpha_x * dot(x, wi)
         iy = alpha_y * dot(y, wi)
         ox = alpha_x * dot(x, wo)
@@ -186,7 +186,7 @@ def evaluate(kind, data, i, j, film_table, wi, wo):
         across = cross(normal, half)
         sin2 = dot(across, across)
         total = sin2 + z2
-        d = _distribution(beckmann, sin2 / (total * alpha2), 0.0, z2 / total, alpha2)
+        d = distribution(beckmann, sin2 / (total * alpha2), 0.0, z2 / total, alpha2)
         lambda_i = smith_lambda(beckmann, alpha2 * max(1.0 / (cos_ni * cos_ni) - 1.0, 0.0))
         lambda_o = (
             smith_lambda(beckmann, alpha2 * max(1.0 / (cos_no * cos_no) - 1.0, 0.0))
