@@ -49,6 +49,9 @@ class ConeLight:
         # rays that pass leaves are dear
         dear = 2 if stage.needs.transparent_shadows else 1
         self.worth, self.world_rays = WORTH / dear, WORLD_RAYS // dear
+        # what is faint takes one sample of each light, or of all: of many, or where it brings little for its time
+        each = not (self.many or dear > 1 or len(arrays.emitters.path))
+        self.weak = lights.apart if each else lights
         self.shares_world = (WORLD, 0) in self.rays.turns
         self.shares_lamps = None in self.rays.turns
         self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0

@@ -50,7 +50,7 @@ class ConePaths(WideLamps):
     def __init__(self, stage, light):
         super().__init__(light.stage(stage, light.rays), light, ROOM)
         n = ROOM
-        self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.lights)
+        self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.weak)
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
@@ -95,11 +95,11 @@ class ConePaths(WideLamps):
             if light.extended:
                 sample_widened(lobes, now.throughput, self.glinting, np.int64(n))
             weak = alive & (now.throughput[:n].max(1) < STRONG)
-            self.stage, self.glints = self.weak_stage, True
+            self.stage, self.glints, self.repeats = self.weak_stage, True, 1
             super()._direct_light(now, n, weak, bounce)
             lobes.count[:n][weak] = 0
             alive = alive & ~weak
-        self.stage, self.glints = self.strong_stage, light.many
+        self.stage, self.glints, self.repeats = self.strong_stage, light.many, light.world_rays
         if bounce == 0:
             self.shared_light.begin(lobes, now.throughput, self.frames.position, self.first, n)
         if light.rays.turns:
@@ -125,7 +125,7 @@ class ConePaths(WideLamps):
         chosen = super().sample_lights(m, turn)
         chosen.mis[:] = False
         # what is asked several times counts once
-        if turn == (WORLD, 0) and self.stage is self.strong_stage:
+        if turn == (WORLD, 0):
             chosen.pdf[:] *= self.asked[self.lit_rows[:m]]
         else:
             chosen.pdf[:] *= self.stage.lights.turns.count(turn)

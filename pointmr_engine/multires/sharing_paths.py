@@ -35,6 +35,7 @@ class SharingPaths(EdgePaths):
             self.every = allocate_samples(2 * room)
         self.peers = np.ones(room)  # cones that share what a fragment receives
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
+        self.repeats = light.world_rays  # of a point behind first surfaces to the world
         self.looked, self.unlit = 0, None  # turns to one of many lights so far, and radiance before them
 
     def start_tile(self, space, count: int) -> None:
@@ -57,7 +58,7 @@ class SharingPaths(EdgePaths):
             lit = self.lit_rows, self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u
             kept = [a[:m].copy() for a in lit]
             if self.small is None:  # behind first surfaces
-                self.asked[:] = self.light.world_rays
+                self.asked[:] = self.repeats
                 self._look_at_world(now, lit, kept, self.asked[kept[0]])
             else:
                 self._look_as_worth(now, lit, kept)

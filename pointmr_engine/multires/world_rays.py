@@ -16,7 +16,7 @@ from pointmr_engine.numerics.jit import uncounted
 
 # rays of a cone that sees one surface and shares with none, for each unit of deviation of what arrives, against all its
 # light; where the light of more cones becomes one, noise is least if each asks as often as the root of their number
-WORTH = 120.0
+WORTH = 240.0
 MOST = 16  # rays of a fragment
 LARGE = 0.75  # of a cone that a fragment fills, from which it begins with two rays
 DOUBT = 0.1  # rays that escaped, and as many that did not, besides those that were seen: a few that agree prove little

@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.forward.scenes import look
 from pointmr_engine import (
     Camera,
     Group,
+    Light,
     Material,
     Mesh,
     RaytraceSettings,
@@ -106,3 +108,25 @@ def test_light_samples_look_for_lamps_in_mirrors_that_bumps_make_rough(scale, di
     scene = below_a_lamp(glossy(height=noise, distance=distance), 8.0)
     exact = mirrored(scene, method="distributed", samples=128)
     assert mirrored(scene, method="raytrace") == pytest.approx(exact, rel=0.06)
+
+
+def test_gloss_shows_what_a_sun_and_a_sky_light_without_a_choice_between_them():
+    """One of both was chosen by chance wherever a ray ended: nearly three times the noise that each brings."""
+    floor = quad(4.0, material=glossy(0.45))
+    corners = np.array([[-99, 2, 0], [99, 2, 0], [99, 2, 99], [-99, 2, 99]], np.float32)
+    matte = Graph({"d": Node("diffuse", {"color": (0.8, 0.8, 0.8)})}, surface=Link("d", "bsdf"))
+    wall = Mesh("wall", corners, floor.triangles, materials=(Material("wall", matte),))
+    camera = Camera(look((0, -6, 3), (0, 0, 0)), focal_length=80.0)
+    sun = Light("SUN", look((0, -4, 6), (0, 2, 2)), power=4.0, angle=0.01)
+
+    def noise(lamps, world):
+        scene = Scene(Group("root", [floor, wall]), camera, lamps, world)
+        images = [
+            render(scene, RenderSettings(64, 48, seed=k, method="raytrace")).passes["combined"]
+            for k in range(4)
+        ]
+        return float(np.var(images, 0)[INNER].mean())
+
+    sky = uniform_world((1.0, 1.0, 1.0))
+    both, by_sun, by_sky = noise([sun], sky), noise([sun], uniform_world(BLACK)), noise([], sky)
+    assert both < 1.7 * (by_sun + by_sky)
