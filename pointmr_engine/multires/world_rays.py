@@ -19,7 +19,8 @@ from pointmr_engine.numerics.jit import uncounted
 WORTH = 240.0
 MOST = 16  # rays of a fragment
 LARGE = 0.75  # of a cone that a fragment fills, from which it begins with two rays
-DOUBT = 0.025  # rays that escaped, and as many that did not, besides those that were seen: a few that agree prove little
+# rays that escaped, and as many that did not, besides those that were seen: a few that agree prove little
+DOUBT = 0.025
 DIM = 0.3  # sum of the channels of what counts as dark: errors matter by their ratio to what is brighter
 _OPEN, _ARRIVED, _LIGHT, _SUBPIXELS, _RAYS = range(5)
 SUMS = 5
