@@ -85,6 +85,8 @@ class ConePaths(WideLamps):
     def _direct_light(self, now, n: int, alive, bounce: int) -> None:
         self.small = self._small(n) if bounce == 0 else None
         bends = bounce == 0 and self.light.bends
+        if bounce == 0 and self.light.shares:
+            self.shared_light.see(self._cone_widths(now, n))
         self._scatter(now, n, alive, bounce, self.curved[:n] > 0.0 if bends else self.none)
         lobes, light = self.lobes, self.light
         lobes.count[:n][~alive] = 0

@@ -18,19 +18,33 @@ from pointmr_engine.forward.fragments import cell_at
 from pointmr_engine.numerics.jit import device, summed, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
-REACH, REACH_OF_LOBE = 5, 3  # cones: how far apart fragments share
+REACH = 5  # cones: how far apart fragments share
 NEIGHBOURHOOD = 2  # cones: how far apart what rays met tells how near things are
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
 ALIKE = 0.2  # of it: fragments of a cone that differ by less receive the same
-# change with the root of 1 less the cosine of normals (their angle over 1.4). The split sphere has 1 for the world, but
-# light from one side of it, or from lamps, makes more of bumps; mirrored, light turns twice as far
-TURN_OF_WORLD, TURN_OF_LAMPS, TURN_OF_LOBE = 3.0, 4.0, 2.0 * math.sqrt(2.0)
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 
 # Rows of the table of what fragments tell each other, by channel or axis: what rays about them met, place and normal in
 # the world, how much they count, by channel, what arrives times that, the angle from which it does, and their cone.
 NEARNESS, PLACE, FACING, HEARD, ARRIVED, WIDTH, AT_X, AT_Y = 0, 1, 4, 7, 10, 13, 14, 15
 COLUMNS = 16
+
+
+class Change(NamedTuple):
+    """How fast light of a kind changes along a surface, of what arrives, at most.
+
+    turn: with the root of 1 less the cosine of normals (their angle over 1.4); move: with the way, of the distance to
+    what rays met.
+    """
+
+    turn: float
+    move: float
+
+
+# the split sphere has 1 for the turn of the world, but light from one side of it, or from lamps, makes more of bumps;
+# mirrored, light turns twice as far, but of what a lobe sees a half (turning) and a quarter (moving) was measured to be
+# what counts, on wires and scans
+OF_WORLD, OF_LAMPS, OF_LOBE = Change(3.0, 1.0), Change(4.0, 1.0), Change(math.sqrt(2.0), 0.25)
 
 
 class Shares(NamedTuple):
@@ -112,36 +126,46 @@ def begin_shares(lobes, throughput, position, first, count, shares):
 
 
 @uncounted
-def count_lobe_rays(slot, triangle, t, count, base, rays, near):
-    """What rays of lobes met first, by their slots: paths 0..count of slots from `base` on, at t; rays, near (N,)."""
+def count_lobe_rays(slot, triangle, t, closest, count, base, rays, near):
+    """What rays of lobes met first, by their slots: paths 0..count of slots from `base` on, at t.
+
+    closest (N,) float32: see `count_near`; rays, near (N,) float32.
+    """
     for i in range(count):
         k = np.int64(slot[i]) - base
         if k >= 0:
             rays[k] += np.float32(1)
-            if triangle[i] != -1 and t[i] > 0.0:
-                near[k] += np.float32(1.0 / t[i])
+            if triangle[i] != -1:
+                near[k] += np.float32(1.0 / max(t[i], closest[k]))
 
 
 @uncounted
-def count_near(source, triangle, t, count, first, shares):
-    """Shadow rays 0..count of the fragments first + source (N,): what each met, at t."""
+def count_near(source, triangle, t, closest, count, first, shares):
+    """Shadow rays 0..count of the fragments first + source (N,): what each met, at t.
+
+    closest (N,) float32 by source: metres, nearer than which nothing counts as being: light that changes within a cone
+    differs from fragment to fragment anyhow, as in hair, and the pixel filter takes its mean.
+    """
     for i in range(count):
-        if triangle[i] != -1 and t[i] > 0.0:
-            shares.nearness[first + np.int64(source[i])] += np.float32(1.0 / t[i])
+        if triangle[i] != -1:
+            k = np.int64(source[i])
+            shares.nearness[first + k] += np.float32(1.0 / max(t[i], closest[k]))
 
 
 @uncounted
-def count_blocked(source, triangle, t, far, width, count, first, shares):
+def count_blocked(source, triangle, t, far, width, closest, count, first, shares):
     """Count the shadow rays 0..count of fragments first + source: how fast their light changes along the surface.
 
     far (N,) float64: how far away the lights are; width (N,) float64 by source: angle from which light comes, against a
-    hemisphere's.
+    hemisphere's; closest: see `count_near`.
     """
     for i in range(count):
         k = np.int64(source[i])
         shares.rays[first + k] += np.float32(1)
-        if triangle[i] != -1 and t[i] > 0.0:
-            shares.nearness[first + k] += np.float32(shares.width[first + k] / (t[i] * width[k]))
+        if triangle[i] != -1:
+            shares.nearness[first + k] += np.float32(
+                shares.width[first + k] / (max(t[i], closest[k]) * width[k])
+            )
         elif far[i] > 0.0:  # what arrives falls off with the distance
             shares.nearness[first + k] += np.float32(1.0 / far[i])
 
@@ -344,23 +368,24 @@ def _add_received(shares, order, into, total, received, out):
                 out[k, c] += shares.light[k, c]
 
 
-def share_light(x, y, cone: int, wide: int, turn: float, shares: Shares, count: int, shape, eye, out) -> None:
+def share_light(x, y, cone: int, change: Change, shares: Shares, count: int, shape, eye, out) -> None:
     """Add what fragments 0..count of a tile of `shape` cones (rows, columns) share to out (F, 3) float32.
 
-    x, y (F,) float32: their places, subpixels, of which a cone has `cone` a side; wide: cones within which they share;
-    turn: TURN_OF_WORLD, ...; eye (3,) float64: where they are seen from, or for a parallel view a place among them.
+    x, y (F,) float32: their places, subpixels, of which a cone has `cone` a side; change: OF_WORLD, ...; eye (3,)
+    float64: where they are seen from, or for a parallel view a place among them.
     """
     (rows, columns), n = shape, np.int64(count)
     start, order = np.empty((rows, columns + 1), np.int32), np.empty(count, np.int32)
     total = np.int64(_by_cone(x, y, np.int64(cone), shares, n, start, order))
     near, begin = np.empty(shape, np.float32), np.empty_like(start)
     _met_about(shares, start, order, np.int64(NEIGHBOURHOOD), np.empty((2, rows, columns)), near)
+    near *= np.float32(change.move)
     into, table = np.empty(total, np.int32), np.empty((COLUMNS, total), np.float32)
-    made = _join_alike(shares, start, order, near, eye, np.float32(turn), into, begin, table)
-    most = int(np.convolve(begin[:, -1] - begin[:, 0], np.ones(2 * wide + 1, np.int64)).max())
+    made = _join_alike(shares, start, order, near, eye, np.float32(change.turn), into, begin, table)
+    most = int(np.convolve(begin[:, -1] - begin[:, 0], np.ones(2 * REACH + 1, np.int64)).max())
     received = np.empty((6, made), np.float32)
     _receive(
-        table, begin, np.int64(wide), np.float32(turn), np.empty(columns + 1, np.int64), np.empty(columns, np.int64),
-        np.empty((COLUMNS, most), np.float32), np.empty(6, np.float32), received,
+        table, begin, np.int64(REACH), np.float32(change.turn), np.empty(columns + 1, np.int64),
+        np.empty(columns, np.int64), np.empty((COLUMNS, most), np.float32), np.empty(6, np.float32), received,
     )  # fmt: skip
     _add_received(shares, order, into, total, received, out)

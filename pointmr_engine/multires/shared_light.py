@@ -9,11 +9,9 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.light_sharing import (
-    REACH,
-    REACH_OF_LOBE,
-    TURN_OF_LAMPS,
-    TURN_OF_LOBE,
-    TURN_OF_WORLD,
+    OF_LAMPS,
+    OF_LOBE,
+    OF_WORLD,
     allocate_shares,
     begin_shares,
     count_blocked,
@@ -25,6 +23,7 @@ from pointmr_engine.multires.light_sharing import (
 )
 from pointmr_engine.raytracing.lights import LAMP
 
+CLOSEST = 0.5  # widths of a cone: how near things may be for what they do to light
 POINT_WIDTH = 0.01  # of light from one direction: nothing is as sharp as it in an image
 
 
@@ -43,6 +42,7 @@ class SharedLight:
         self.world = self.lamps = self.lobes = allocate_shares(0)
         self.lobe_rays, self.lobe_near = np.zeros((2, room if self.has_lobes else 0), np.float32)
         self.lamp_width = np.ones(room)
+        self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(room, np.float32)
         self.mis = light.lights.arrays.lamps.mis
 
     def start_tile(self, fragments: int) -> None:
@@ -62,6 +62,10 @@ class SharedLight:
             if len(shares.rays):
                 begin_shares(lobes, throughput, position, np.int64(first), np.int64(n), shares)
 
+    def see(self, width: np.ndarray) -> None:
+        """The batch's fragments are seen by cones of that width (n,), metres."""
+        self.closest[: len(width)] = np.maximum(CLOSEST * width, 1e-30)
+
     def of_lamps(self, chosen, rows: np.ndarray) -> None:
         """Remember from how wide an angle the light of samples `chosen` comes, for the batch's points `rows`.
 
@@ -75,7 +79,9 @@ class SharedLight:
 
     def count_world_rays(self, shadows, hits, count: int, first: int) -> None:
         """Note how near things are that rays 0..count to the world met."""
-        count_near(shadows.source, hits.triangle, hits.t, np.int64(count), np.int64(first), self.world)
+        count_near(
+            shadows.source, hits.triangle, hits.t, self.closest, np.int64(count), np.int64(first), self.world
+        )
 
     def count_rays(self, rays: np.ndarray, first: int) -> None:
         """Note how many rays (n,) a batch's fragments have sent to the world."""
@@ -95,8 +101,9 @@ class SharedLight:
                 continue
             if counts:
                 count_blocked(
-                    shadows.source, hits.triangle, hits.t, shadows.rays.t_max, self.lamp_width, n, at, shares
-                )
+                    shadows.source, hits.triangle, hits.t, shadows.rays.t_max, self.lamp_width, self.closest, n, at,
+                    shares,
+                )  # fmt: skip
             take_reflected(shadows.light, part, shadows.source, hits.triangle, n, at, shares)
 
     def received_of_lamps(self, first: int, n: int) -> np.ndarray:
@@ -122,14 +129,16 @@ class SharedLight:
         for column in samples:
             column[copies] = column[own]
         samples.radiance[copies] = 0.0
+        self.lobe_closest[own] = self.closest[:count]
         self.lobe_rays[own] = self.lobe_near[own] = 0.0
         slots[shared] += self.room
 
     def count_lobe_rays(self, slots, hits, n: int) -> None:
         """Note what paths 0..n with samples of their own met first."""
         count_lobe_rays(
-            slots, hits.triangle, hits.t, np.int64(n), np.int64(self.room), self.lobe_rays, self.lobe_near
-        )
+            slots, hits.triangle, hits.t, self.lobe_closest, np.int64(n), np.int64(self.room), self.lobe_rays,
+            self.lobe_near,
+        )  # fmt: skip
 
     def take_lobes(self, samples, first: int, base: int, count: int) -> None:
         """What the rays of fragments first..first + count have found is shared; their samples begin at `base`."""
@@ -143,12 +152,7 @@ class SharedLight:
         f, image = space.fragments, space.image
         side = image.subpixels // image.cone
         shape = tuple(side * n for n in space.used.shape)
-        for turn, reach, shares in (
-            (TURN_OF_WORLD, REACH, self.world), (TURN_OF_LAMPS, REACH, self.lamps),
-            (TURN_OF_LOBE, REACH_OF_LOBE, self.lobes),
-        ):  # fmt: skip
+        for change, shares in ((OF_WORLD, self.world), (OF_LAMPS, self.lamps), (OF_LOBE, self.lobes)):
             if len(shares.rays):
                 eye = image.camera.world_from_camera[:, 3] if image.view.perspective else shares.position[0]
-                share_light(
-                    f.x, f.y, image.cone, reach, turn, shares, count, shape, eye, space.light
-                )  # fmt: skip
+                share_light(f.x, f.y, image.cone, change, shares, count, shape, eye, space.light)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.multires.light_sharing import TURN_OF_WORLD
+from pointmr_engine.multires.light_sharing import OF_WORLD
 from pointmr_engine.multires.lobe_view import WITHIN_LOBE
 from pointmr_engine.multires.shadow_edges import EdgePaths
 from pointmr_engine.multires.shared_light import SharedLight
@@ -104,15 +104,19 @@ class SharingPaths(EdgePaths):
         super()._look_at_light(now, m, None)
         self.asks = None
 
+    def _cone_widths(self, now, n: int) -> np.ndarray:
+        """(n,) float64: how wide a cone is where it meets the batch's fragments, metres."""
+        width = now.state.width[:n] + now.state.spread[:n] * self.hits.t[:n]
+        return self.space.image.cone / self.space.cell * width.astype(np.float64)
+
     def _count_peers(self, now) -> None:
         """Fill `peers` with how many cones share what each of the batch's fragments receives of the world."""
         n, image, shares = self.count, self.space.image, self.shared_light.world
         self.peers[:n] = 1.0
         if len(shares.rays):
-            width = now.state.width[:n] + now.state.spread[:n] * self.hits.t[:n]
             count_peers(
-                self.pixel, shares, np.int64(self.first), image.cone / self.space.cell * width.astype(np.float64),
-                np.float64(image.subpixels // image.cone), TURN_OF_WORLD, np.int64(n),
+                self.pixel, shares, np.int64(self.first), self._cone_widths(now, n),
+                np.float64(image.subpixels // image.cone), OF_WORLD.turn, np.int64(n),
                 np.empty((*self.space.used.shape, PEER_SUMS)), self.peers,
             )  # fmt: skip
 

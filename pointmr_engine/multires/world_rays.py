@@ -42,7 +42,7 @@ def count_peers(pixel, shares: Shares, first, width, side, turn, count, sums, pe
 
     By what rays from the pixels about it met, and how normals turn there (light_sharing). pixel (N,) int64: their
     pixels' numbers in the tile; width (N,) float64: of a cone where it meets them, metres; side: cones per side of a
-    pixel; turn: TURN_OF_WORLD, ...; sums (rows, columns, PEER_SUMS) float64 to work in.
+    pixel; turn: of the world (light_sharing.OF_WORLD); sums (rows, columns, PEER_SUMS) float64 to work in.
     """
     rows, columns = sums.shape[0], sums.shape[1]
     sums[:] = 0.0

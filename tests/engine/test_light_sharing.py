@@ -19,10 +19,12 @@ from pointmr_engine import (
 )
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.light_sharing import (
+    OF_LOBE,
+    OF_WORLD,
     REACH,
-    TURN_OF_LOBE,
-    TURN_OF_WORLD,
     allocate_shares,
+    count_lobe_rays,
+    count_near,
     share_light,
     take_reflected,
 )
@@ -49,10 +51,10 @@ def shares_of(side, rng, spacing=0.1):
     return shares, *(a.astype(np.float32) for a in places)
 
 
-def shared(shares, x, y, side, turn=TURN_OF_WORLD):
+def shared(shares, x, y, side, change=OF_WORLD):
     out = np.zeros((len(x), 3), np.float32)
     eye = np.zeros(3)
-    share_light(x, y, SUBPIXELS, REACH, turn, shares, len(x), (side, side), eye, out)
+    share_light(x, y, SUBPIXELS, change, shares, len(x), (side, side), eye, out)
     return out
 
 
@@ -102,6 +104,35 @@ def test_what_is_near_keeps_light_apart():
     np.testing.assert_allclose(shared(shares, x, y, 8), shares.light, rtol=1e-6)
 
 
+def test_a_few_rays_that_meet_something_at_once_keep_nothing_apart():
+    """As in hair: one ray in ten meets a strand beside the one that it leaves."""
+    rng = np.random.default_rng(4)
+    shares, x, y = shares_of(8, rng)
+    n = len(x)
+    shares.light[:] *= rng.uniform(0.0, 2.0, (n, 1))
+    source, triangle = np.arange(n, dtype=np.int32), np.where(np.arange(n) % 10 == 0, 0, -1)
+    count_near(
+        source, triangle, np.full(n, 1e-7), np.full(n, 0.1, np.float32), np.int64(n), np.int64(0), shares
+    )
+    before, after = shares.light / shares.albedo, shared(shares, x, y, 8) / shares.albedo
+    assert after.var() < before.var() / 10
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, 10.0), st.floats(1e-6, 10.0))
+def test_nothing_counts_as_nearer_than_the_closest(t, closest):
+    rays = np.array([1, 0], np.int64), np.array([t, t]), np.full(2, closest, np.float32)
+    shares = shares_of(2, np.random.default_rng(1))[0]
+    count_near(np.zeros(2, np.int32), rays[0], rays[1], rays[2], np.int64(2), np.int64(3), shares)
+    assert (
+        shares.nearness[3] == pytest.approx(2.0 / max(t, closest), rel=1e-5) and not shares.nearness[4:].any()
+    )
+    lobes, near = np.zeros(4, np.float32), np.zeros(4, np.float32)
+    near_of = np.full(4, closest, np.float32)
+    count_lobe_rays(np.array([1, 7]), rays[0], rays[1], near_of, np.int64(2), np.int64(4), lobes, near)
+    assert lobes.tolist() == [0, 0, 0, 1] and near[3] == pytest.approx(1.0 / max(t, closest), rel=1e-5)
+
+
 def test_other_sides_of_an_edge_do_not_share():
     shares, x, y = shares_of(8, np.random.default_rng(5))
     right = x > 4 * SUBPIXELS
@@ -141,8 +172,8 @@ def turned(shares, x, angle):
 def test_narrow_lobes_share_only_where_normals_agree(width, mixes):
     shares, x, y = shares_of(8, np.random.default_rng(8))
     shares.width[:] = width
-    right = turned(shares, x, 0.04)
-    result = shared(shares, x, y, 8, TURN_OF_LOBE)
+    right = turned(shares, x, 0.08)
+    result = shared(shares, x, y, 8, OF_LOBE)
     assert bool((result[right] > 0).any()) == mixes
 
 
@@ -150,7 +181,7 @@ def test_lobes_of_different_width_do_not_share():
     shares, x, y = shares_of(8, np.random.default_rng(9))
     right = turned(shares, x, 0.0)
     shares.width[:] = np.where(right, 0.3, 0.6)
-    result = shared(shares, x, y, 8, TURN_OF_LOBE)
+    result = shared(shares, x, y, 8, OF_LOBE)
     assert (result[right] == 0).all()
 
 

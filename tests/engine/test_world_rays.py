@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.multires.light_sharing import TURN_OF_WORLD, allocate_shares
+from pointmr_engine.multires.light_sharing import OF_WORLD, allocate_shares
 from pointmr_engine.multires.world_rays import (
     MOST,
     MOST_PEERS,
@@ -86,7 +86,7 @@ def peers(near=0.0, angle=0.0, side=1.0, albedo=0.5):
         0,
         np.full(n, 0.1),
         side,
-        TURN_OF_WORLD,
+        OF_WORLD.turn,
         n,
         np.empty((SIDE, SIDE, PEER_SUMS)),
         out,
