@@ -41,10 +41,10 @@ class Change(NamedTuple):
     move: float
 
 
-# the split sphere has 1 for the turn of the world, but light from one side of it, or from lamps, makes more of bumps;
-# mirrored, light turns twice as far, but of what a lobe sees a half (turning) and a quarter (moving) was measured to be
-# what counts, on wires and scans
-OF_WORLD, OF_LAMPS, OF_LOBE = Change(3.0, 1.0), Change(4.0, 1.0), Change(math.sqrt(2.0), 0.25)
+# the split sphere has 1 for the turn of the world, but light from one side of it, or from lamps, makes more of bumps.
+# Mirrored, light turns twice as far; of how fast a lobe's light might change, a half (turning) and a tenth (moving) is
+# what wires, scans and cars were measured to need
+OF_WORLD, OF_LAMPS, OF_LOBE = Change(3.0, 1.0), Change(4.0, 1.0), Change(math.sqrt(2.0), 0.1)
 
 
 class Shares(NamedTuple):
