@@ -35,7 +35,7 @@ from pointmr_engine.raytracing.paths import NO_LAMPS, SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 
-ROOM = 8 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
+ROOM = 6 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 # of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
 # regularized paths do: Kaplanyan and Dachsbacher 2013)
 AROUND = 0.5

@@ -31,7 +31,7 @@ from pointmr_engine.shading.bsdf.vector import combine, load3, mean
 from pointmr_engine.shading.footprint_slopes import allocate_texture_slopes
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
-BATCH = 8192
+BATCH = 12288
 TOGETHER = 8  # fragments for each cone of a pixel whose samples are one run
 MOST_NUMBER = (1 << 31) - 1
 WHOLE_RUNS = 32  # first of the curves of whole runs
