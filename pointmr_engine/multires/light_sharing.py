@@ -31,20 +31,22 @@ COLUMNS = 16
 
 
 class Change(NamedTuple):
-    """How fast light of a kind changes along a surface, of what arrives, at most.
+    """How fast light of a kind changes along a surface, of what arrives.
 
-    turn: with the root of 1 less the cosine of normals (their angle over 1.4); move: with the way, of the distance to
-    what rays met.
+    turn: with the root of 1 less the cosine of normals (their angle over 1.4); view: with the angle by which the view
+    turns.
     """
 
     turn: float
-    move: float
+    view: float
 
 
-# the split sphere has 1 for the turn of the world, but light from one side of it, or from lamps, makes more of bumps.
-# Mirrored, light turns twice as far; of how fast a lobe's light might change, a half (turning) and a tenth (moving) is
-# what wires, scans and cars were measured to need
-OF_WORLD, OF_LAMPS, OF_LOBE = Change(3.0, 1.0), Change(4.0, 1.0), Change(math.sqrt(2.0), 0.1)
+# the split sphere has 1 for the turn of the world, but light from one side of it, or from lamps, makes more of bumps;
+# mirrored, light turns twice as far, of which a half is what wires, scans and cars were measured to need
+OF_WORLD, OF_LAMPS, OF_LOBE = Change(3.0, 0.0), Change(4.0, 0.0), Change(math.sqrt(2.0), 1.0)
+MOVE_OF_LOBE = (
+    0.25  # of the way against the distance of what a lobe's rays met: how much of what it sees changes
+)
 
 
 class Shares(NamedTuple):
@@ -136,7 +138,7 @@ def count_lobe_rays(slot, triangle, t, closest, count, base, rays, near):
         if k >= 0:
             rays[k] += np.float32(1)
             if triangle[i] != -1:
-                near[k] += np.float32(1.0 / max(t[i], closest[k]))
+                near[k] += np.float32(MOVE_OF_LOBE / max(t[i], closest[k]))
 
 
 @uncounted
@@ -245,11 +247,11 @@ def _met_about(shares, start, order, wide, sums, near):
 
 
 @uncounted
-def _join_alike(shares, start, order, near, origin, turn, into, begin, table):
+def _join_alike(shares, start, order, near, origin, turn, view, into, begin, table):
     """Fragments of a cone that would share nearly all become one row of table (COLUMNS, F) float32; returns how many.
 
     into (F,) int32: the row of each of order (F,); begin (rows, columns + 1) int32: first rows of cones; origin (3,)
-    float64: about which places keep their precision.
+    float64: about which places keep their precision, which are seen from there if view is more than 0.
     """
     rows, columns = near.shape
     n = np.int64(0)
@@ -263,13 +265,16 @@ def _join_alike(shares, start, order, near, origin, turn, into, begin, table):
                 y = np.float32(shares.position[k, 1] - origin[1])
                 z = np.float32(shares.position[k, 2] - origin[2])
                 width = shares.width[k]
+                nearness = near[j, i]
+                if view > np.float32(0):
+                    nearness += view / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-30))
                 found = n
                 for g in range(first, n):
                     dx, dy, dz = table[PLACE, g] - x, table[PLACE + 1, g] - y, table[PLACE + 2, g] - z
                     facing = np.float32(0)
                     for c in range(3):
                         facing += table[FACING + c, g] * shares.normal[k, c]
-                    change = math.sqrt(dx * dx + dy * dy + dz * dz) * near[j, i]
+                    change = math.sqrt(dx * dx + dy * dy + dz * dz) * nearness
                     change += turn * math.sqrt(max(np.float32(1) - facing, np.float32(0)))
                     if change + abs(table[WIDTH, g] - width) < ALIKE * ERROR * width:
                         found = np.int64(g)
@@ -277,7 +282,7 @@ def _join_alike(shares, start, order, near, origin, turn, into, begin, table):
                 into[s] = found
                 if found == n:
                     n += 1
-                    table[NEARNESS, found], table[WIDTH, found] = near[j, i], width
+                    table[NEARNESS, found], table[WIDTH, found] = nearness, width
                     table[AT_X, found], table[AT_Y, found] = i, j
                     table[PLACE, found], table[PLACE + 1, found], table[PLACE + 2, found] = x, y, z
                     for c in range(3):
@@ -379,9 +384,10 @@ def share_light(x, y, cone: int, change: Change, shares: Shares, count: int, sha
     total = np.int64(_by_cone(x, y, np.int64(cone), shares, n, start, order))
     near, begin = np.empty(shape, np.float32), np.empty_like(start)
     _met_about(shares, start, order, np.int64(NEIGHBOURHOOD), np.empty((2, rows, columns)), near)
-    near *= np.float32(change.move)
     into, table = np.empty(total, np.int32), np.empty((COLUMNS, total), np.float32)
-    made = _join_alike(shares, start, order, near, eye, np.float32(change.turn), into, begin, table)
+    made = _join_alike(
+        shares, start, order, near, eye, np.float32(change.turn), np.float32(change.view), into, begin, table
+    )
     most = int(np.convolve(begin[:, -1] - begin[:, 0], np.ones(2 * REACH + 1, np.int64)).max())
     received = np.empty((6, made), np.float32)
     _receive(

@@ -154,5 +154,7 @@ class SharedLight:
         shape = tuple(side * n for n in space.used.shape)
         for change, shares in ((OF_WORLD, self.world), (OF_LAMPS, self.lamps), (OF_LOBE, self.lobes)):
             if len(shares.rays):
-                eye = image.camera.world_from_camera[:, 3] if image.view.perspective else shares.position[0]
+                eye = image.camera.world_from_camera[:, 3]
+                if not image.view.perspective:
+                    eye, change = shares.position[0], change._replace(view=0.0)
                 share_light(f.x, f.y, image.cone, change, shares, count, shape, eye, space.light)

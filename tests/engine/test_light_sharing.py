@@ -19,6 +19,7 @@ from pointmr_engine import (
 )
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.light_sharing import (
+    MOVE_OF_LOBE,
     OF_LOBE,
     OF_WORLD,
     REACH,
@@ -130,7 +131,9 @@ def test_nothing_counts_as_nearer_than_the_closest(t, closest):
     lobes, near = np.zeros(4, np.float32), np.zeros(4, np.float32)
     near_of = np.full(4, closest, np.float32)
     count_lobe_rays(np.array([1, 7]), rays[0], rays[1], near_of, np.int64(2), np.int64(4), lobes, near)
-    assert lobes.tolist() == [0, 0, 0, 1] and near[3] == pytest.approx(1.0 / max(t, closest), rel=1e-5)
+    assert lobes.tolist() == [0, 0, 0, 1] and near[3] == pytest.approx(
+        MOVE_OF_LOBE / max(t, closest), rel=1e-5
+    )
 
 
 def test_other_sides_of_an_edge_do_not_share():
@@ -173,7 +176,7 @@ def test_narrow_lobes_share_only_where_normals_agree(width, mixes):
     shares, x, y = shares_of(8, np.random.default_rng(8))
     shares.width[:] = width
     right = turned(shares, x, 0.08)
-    result = shared(shares, x, y, 8, OF_LOBE)
+    result = shared(shares, x, y, 8, OF_LOBE._replace(view=0.0))
     assert bool((result[right] > 0).any()) == mixes
 
 
@@ -181,7 +184,7 @@ def test_lobes_of_different_width_do_not_share():
     shares, x, y = shares_of(8, np.random.default_rng(9))
     right = turned(shares, x, 0.0)
     shares.width[:] = np.where(right, 0.3, 0.6)
-    result = shared(shares, x, y, 8, OF_LOBE)
+    result = shared(shares, x, y, 8, OF_LOBE._replace(view=0.0))
     assert (result[right] == 0).all()
 
 
