@@ -52,10 +52,9 @@ def shares_of(side, rng, spacing=0.1):
     return shares, *(a.astype(np.float32) for a in places)
 
 
-def shared(shares, x, y, side, change=OF_WORLD):
+def shared(shares, x, y, side, change=OF_WORLD, eye=(0.0, 0.0, 0.0)):
     out = np.zeros((len(x), 3), np.float32)
-    eye = np.zeros(3)
-    share_light(x, y, SUBPIXELS, change, shares, len(x), (side, side), eye, out)
+    share_light(x, y, SUBPIXELS, change, shares, len(x), (side, side), np.array(eye), out)
     return out
 
 
@@ -186,6 +185,18 @@ def test_lobes_of_different_width_do_not_share():
     shares.width[:] = np.where(right, 0.3, 0.6)
     result = shared(shares, x, y, 8, OF_LOBE._replace(view=0.0))
     assert (result[right] == 0).all()
+
+
+@pytest.mark.parametrize(("height", "quieter"), [(0.2, False), (100.0, True)])
+def test_narrow_lobes_share_only_where_the_view_hardly_turns(height, quieter):
+    """They see by how their surface is seen: fragments a tenth of a metre apart, from above their middle."""
+    rng = np.random.default_rng(11)
+    shares, x, y = shares_of(8, rng)
+    shares.width[:] = 0.1
+    shares.light[:] *= rng.uniform(0.0, 2.0, (len(x), 1))
+    eye = (*shares.position[:, :2].mean(0), height)
+    before, after = shares.light / shares.albedo, shared(shares, x, y, 8, OF_LOBE, eye) / shares.albedo
+    assert (after.var() < before.var() / 5) == quieter
 
 
 def test_what_counts_more_decides():
