@@ -44,9 +44,8 @@ class Change(NamedTuple):
 # the split sphere has 1 for the turn of the world, but light from one side of it, or from lamps, makes more of bumps;
 # mirrored, light turns twice as far, of which a half is what wires, scans and cars were measured to need
 OF_WORLD, OF_LAMPS, OF_LOBE = Change(3.0, 0.0), Change(4.0, 0.0), Change(math.sqrt(2.0), 1.0)
-MOVE_OF_LOBE = (
-    0.25  # of the way against the distance of what a lobe's rays met: how much of what it sees changes
-)
+# of the way against the distance of what a lobe's rays met: how much of what it sees changes
+MOVE_OF_LOBE = 0.25
 
 
 class Shares(NamedTuple):
