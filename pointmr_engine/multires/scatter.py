@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.lobe_light import towards_normal
-from pointmr_engine.multires.light_sharing import add_lobe, clear_share
+from pointmr_engine.multires.light_shares import add_lobe, clear_share
 from pointmr_engine.multires.lobe_paths import (
     BY_SAMPLES,
     WIDEST,

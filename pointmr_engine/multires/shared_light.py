@@ -8,19 +8,17 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.light_sharing import (
-    OF_LAMPS,
-    OF_LOBE,
-    OF_WORLD,
+from pointmr_engine.multires.light_shares import (
     allocate_shares,
     begin_shares,
     count_blocked,
     count_lobe_rays,
     count_near,
-    share_light,
     take_light,
     take_reflected,
+    take_turns,
 )
+from pointmr_engine.multires.light_sharing import OF_LAMPS, OF_LOBE, OF_WORLD, share_light
 from pointmr_engine.raytracing.lights import LAMP
 
 CLOSEST = 0.5  # widths of a cone: how near things may be for what they do to light
@@ -92,6 +90,17 @@ class SharedLight:
         """What a batch's radiance has gained since `before` is shared; rays (n,): how many brought it."""
         self.count_rays(rays, first)
         take_light(radiance, before, np.int64(first), np.int64(len(rays)), self.world)
+
+    def take_turns(self, shadows, hits, count: int, first: int) -> None:
+        """Note how what rays 0..count to the world bring changes as surfaces turn."""
+        take_turns(
+            shadows.light, shadows.rays.direction, shadows.source, hits.triangle, np.int64(count), np.int64(first),
+            self.world,
+        )  # fmt: skip
+
+    def scale_turns(self, part: np.ndarray, first: int) -> None:
+        """Scale what is known of turns of a batch's fragments by part (n,): more rays than planned will bring it."""
+        self.world.turned[first : first + len(part)] *= part[:, None].astype(np.float32)
 
     def take_lamps(self, shadows, hits, count: int, first: int, counts: bool) -> None:
         """What shadow rays 0..count bring that nothing stops is shared; `counts`: these rays begin."""

@@ -142,7 +142,9 @@ class SharingPaths(EdgePaths):
         arrived, done = (radiance[:n] - before).sum(1), asked[:n].copy()
         self._count_peers(now)
         self._ask_as_worth(arrived, before.sum(1))
-        radiance[:n] = before + (radiance[:n] - before) * (done / asked[:n])[:, None]
+        part = done / asked[:n]
+        radiance[:n] = before + (radiance[:n] - before) * part[:, None]
+        self.shared_light.scale_turns(part, self.first)
         self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
         self.shared_light.take_world(radiance, before, asked[:n], self.first)
 
@@ -166,6 +168,8 @@ class SharingPaths(EdgePaths):
         shared, rays, met = self.shared_light, self.shadows, self.shadow_hits
         if self.asks == WORLD and self.begins:
             shared.count_world_rays(rays, met, count, self.first)
+        if self.asks == WORLD:
+            shared.take_turns(rays, met, count, self.first)
         elif self.asks == LAMP:
             shared.take_lamps(rays, met, count, self.first, self.begins)
         self.begins = False  # those that pass a surface have been counted

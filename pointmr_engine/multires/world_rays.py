@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.light_sharing import ERROR, REACH, Shares, has_to_share
+from pointmr_engine.multires.light_shares import Shares, has_to_share
+from pointmr_engine.multires.light_sharing import ERROR, REACH
 from pointmr_engine.numerics.jit import uncounted
 
 # rays of a cone that sees one surface and shares with none, for each unit of deviation of what arrives, against all its

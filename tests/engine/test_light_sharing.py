@@ -18,17 +18,15 @@ from pointmr_engine import (
     uniform_world,
 )
 from pointmr_engine.multires.cone_light import ConeLight
-from pointmr_engine.multires.light_sharing import (
+from pointmr_engine.multires.light_shares import (
     MOVE_OF_LOBE,
-    OF_LOBE,
-    OF_WORLD,
-    REACH,
     allocate_shares,
     count_lobe_rays,
     count_near,
-    share_light,
     take_reflected,
+    take_turns,
 )
+from pointmr_engine.multires.light_sharing import OF_LOBE, OF_WORLD, REACH, share_light
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import at, from_above, half_a_sky, quad
@@ -45,7 +43,7 @@ def shares_of(side, rng, spacing=0.1):
     shares.normal[:] = (0, 0, 1)
     shares.albedo[:] = rng.uniform(0.1, 0.9, (n, 3))
     shares.rays[:] = 2
-    shares.nearness[:] = 0
+    shares.nearness[:] = shares.turned[:] = 0
     shares.worth[:] = shares.width[:] = 1
     shares.light[:] = shares.albedo
     places = ((a + 0.5) * SUBPIXELS / 2 for a in (x, y))
@@ -133,6 +131,37 @@ def test_nothing_counts_as_nearer_than_the_closest(t, closest):
     assert lobes.tolist() == [0, 0, 0, 1] and near[3] == pytest.approx(
         MOVE_OF_LOBE / max(t, closest), rel=1e-5
     )
+
+
+@settings(deadline=None)
+@given(st.floats(-1.0, 1.0), st.floats(0.0, 2.0 * np.pi))
+def test_rays_tell_how_half_a_sky_changes_with_the_normal(height, around):
+    """A normal n receives (1 + n d) / 2 of the half about d, which changes by (n + d) / 2."""
+    n, side = 20000, np.sqrt(1.0 - height * height)
+    d = np.array([side * np.cos(around), side * np.sin(around), height])
+    u, v = np.random.default_rng(2).uniform(size=(2, n))
+    flat = np.sqrt(u)
+    rays = np.stack([flat * np.cos(2 * np.pi * v), flat * np.sin(2 * np.pi * v), np.sqrt(1 - u)], 1)
+    shares = shares_of(1, np.random.default_rng(1))[0]
+    light = np.tile(np.float64(shares.albedo[2]), (n, 1))
+    source, met = np.full(n, 1, np.int32), np.where(rays @ d > 0, -1, 0)
+    take_turns(light, rays, source, met, np.int64(n), np.int64(1), shares)
+    np.testing.assert_allclose(shares.turned[2] / (3.0 * n), (np.array([0, 0, 1]) + d) / 2, atol=0.06)
+    assert not shares.turned[[0, 1, 3]].any()
+
+
+def test_shared_light_is_that_of_each_normal():
+    """A surface with ridges under half a sky: what it shares is the mean of neighbours, and what it receives is not."""
+    side, d = 12, np.array([0.8, 0.0, 0.6])
+    shares, x, y = shares_of(side, np.random.default_rng(6))
+    tilt = 0.15 * np.sin(2 * np.pi * x / (6 * SUBPIXELS))
+    shares.normal[:] = np.stack([np.sin(tilt), 0 * tilt, np.cos(tilt)], 1)
+    arrives = (1.0 + shares.normal @ d) / 2.0
+    shares.light[:] = shares.albedo * arrives[:, None]
+    flat = shared(shares, x, y, side)[:, 1] / shares.albedo[:, 1] - arrives
+    shares.turned[:] = 3.0 * (shares.normal + d) / 2.0
+    turned = shared(shares, x, y, side)[:, 1] / shares.albedo[:, 1] - arrives
+    assert np.abs(turned).max() < 0.005 and np.abs(flat).max() > 0.02
 
 
 def test_other_sides_of_an_edge_do_not_share():
