@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.shading.differentials import moved_points, tangent_axes
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.values import cross, dot
@@ -34,7 +35,7 @@ OF_FEW = FIRST / (FIRST - 1)  # times the variance about the mean of so few
 # Lemieux 2000, "Extensible Lattice Sequences for Quasi-Monte Carlo Quadrature"): points of Sobol's sequence resonate
 # with checks. The generator was chosen for checks of all sizes.
 _U = np.array([int(f"{i:05b}"[::-1], 2) for i in range(ALL)]) / ALL
-_V = 19.0 * _U % 1.0
+_LATTICE = np.stack([_U, 19.0 * _U % 1.0])
 
 
 class Slopes(NamedTuple):
@@ -177,14 +178,23 @@ def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end:
     """
     points = gather(rows)
     a, b = _turned(points, *_axes(points))
-    places = np.stack(_turns(points.position, seed))[:, None] + np.stack([_U, _V])[:, begin:end, None]
-    places -= places >= 1.0
-    places -= 0.5
-    offset = places[0][..., None] * a
-    offset += places[1][..., None] * b
+    places, offset = np.empty((2, end - begin, len(rows))), np.empty((end - begin, len(rows), 3))
+    _fill_places(np.stack(_turns(points.position, seed)), _LATTICE[:, begin:end], a, b, places, offset)
     if narrower is not None:
         narrower = np.full(len(rows), narrower, np.float32)
     return _values_at(run, points, offset, needs, narrower), places, np.stack([a, b])
+
+
+@uncounted
+def _fill_places(turns, lattice, a, b, places, offset):
+    """places (2, k, n): points of lattice (2, k) turned by (2, n), from -0.5 to 0.5; offset (k, n, 3): along a, b."""
+    for j in range(places.shape[1]):
+        for i in range(places.shape[2]):
+            for axis in range(2):
+                place = turns[axis, i] + lattice[axis, j]
+                places[axis, j, i] = place - (1.5 if place >= 1.0 else 0.5)
+            for c in range(3):
+                offset[j, i, c] = places[0, j, i] * a[i, c] + places[1, j, i] * b[i, c]
 
 
 def _values_at(run, points: SurfacePoints, offset: np.ndarray, needs, narrower=None, of_uvs=None) -> dict:

@@ -49,6 +49,13 @@ def mix(a: np.ndarray, b: np.ndarray, t: np.ndarray) -> np.ndarray:
     return a * (1 - t) + b * t
 
 
+def choose(first: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a where `first` (n,) bool, else b: vectors (n, 3) or (1, 3)."""
+    if len(a) == len(b) == 1:  # NumPy takes rows seven times faster than it broadcasts them
+        return np.concatenate([b, a]).take(first.view(np.int8), 0)
+    return np.where(first[:, None], a, b)
+
+
 def stack(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """(n, 3) from three (n,) that broadcast."""
     out = np.empty((max(len(x), len(y), len(z)), 3), np.float32)
