@@ -54,7 +54,7 @@ def exact(acceleration, cones, u=None, v=None):
     return (hits.triangle == walk.BLOCKED).reshape(n, k)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seeds,
     st.integers(0, 3),
@@ -142,7 +142,7 @@ def sheet(rows: int, columns: int, x, y, z: float = 0.0, **values) -> Mesh:
 HALF_PLANES = {"large": sheet(1, 1, (0, 40), (-40, 40)), "small": sheet(80, 160, (0, 4), (-4, 4))}
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-1.2, 1.2), st.floats(0, 2 * np.pi), st.floats(0.5, 2.0), st.sampled_from(list(HALF_PLANES)))
 def test_half_planes(offset, angle, ratio, kind):
     """The share of a cone before a half plane that is blocked; made of two triangles, or of many drawn as points."""

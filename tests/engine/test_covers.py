@@ -44,7 +44,7 @@ def tree_of(seed: int, levels: int, items: int) -> Group:
     return group
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.integers(1, 4), st.sampled_from([2, 5, 12]))
 def test_boxes_of_nested_groups_hold_every_vertex(seed, levels, items):
     if items == 12 and levels > 2:
@@ -69,7 +69,7 @@ def test_turning_a_ball_again_and_again_hardly_makes_its_box_grow():
         assert (0.5 * (high - low)).max() < (1.35, 1.75, 2.35)[level] < 0.8 * box_of_box.max()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10_000), st.sampled_from([FEWEST, 20, BOXES]), st.integers(1, 3000))
 def test_the_top_of_a_hierarchy_is_a_few_boxes_that_hold_all(seed, limit, count):
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_the_top_of_a_hierarchy_is_a_few_boxes_that_hold_all(seed, limit, count)
     assert len(rows) > limit - 7 or len(rows) >= min(count // 8, limit - 7)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 300), st.integers(1, 64))
 def test_fewer_boxes_hold_as_much_and_no_more_than_all(seed, count, limit):
     rng = np.random.default_rng(seed)

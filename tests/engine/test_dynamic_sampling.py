@@ -167,7 +167,7 @@ def assert_same_as_fresh(octree: DynamicOctree, rows, areas, boxes):
         assert np.abs(np.bincount(drawn, minlength=len(share)) - share).max() <= 1 + 1e-6
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32), steps=st.lists(st.tuples(st.booleans(), st.integers(1, 60)), max_size=12))
 def test_a_changed_octree_draws_as_a_fresh_one(seed, steps):
     rng = np.random.default_rng(seed)

@@ -59,7 +59,7 @@ def transport(surface, eta):
     return np.array(rows).T
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seeds, st.sampled_from([0.0, 1 / 1.5, 1 / 1.33, 1.2]))
 def test_mirrors_and_refractions_at_curved_surfaces(seed, eta):
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_curvature_of_two_directions():
     np.testing.assert_allclose([[pp, ps], [ps, ss]], turn @ np.diag([2.0, -0.5]) @ turn.T)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds)
 def test_roughness_adds_variances_and_keeps_what_is_smooth(seed):
     rng = np.random.default_rng(seed)
@@ -98,7 +98,7 @@ def test_roughness_adds_variances_and_keeps_what_is_smooth(seed):
     np.testing.assert_allclose(from_none, np.diag(np.sqrt([0.6, 0.15])), atol=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.floats(0.1, 10.0))
 def test_cones_have_the_footprints_variances(seed, distance):
     rng = np.random.default_rng(seed)

@@ -206,7 +206,7 @@ def seen(meshes, size=SIZE, **camera) -> np.ndarray:
 
 
 @given(st.floats(-2.9, 2.9), st.floats(-0.4, 0.4))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_half_planes_cover_what_they_cover(offset, slope):
     """Alpha right of the line x = offset + slope y, one triangle, is the exact area."""
     size = replace(SIZE, width=8, height=6)
@@ -225,7 +225,7 @@ def test_half_planes_cover_what_they_cover(offset, slope):
 
 
 @given(st.floats(-1.9, 1.9), st.floats(0.05, 5.0), st.floats(0.05, 5.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_crossing_triangles_meet_in_a_line(x, rise, fall):
     """Left of x the red one is nearer, right of it the green one."""
     size = replace(SIZE, width=8, height=6)
@@ -243,7 +243,7 @@ def test_crossing_triangles_meet_in_a_line(x, rise, fall):
 
 
 @given(st.integers(0, 10_000), st.booleans())
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_soups_of_triangles_are_what_many_subpixels_see(seed, perspective):
     rng = np.random.default_rng(seed)
     meshes = [

@@ -69,7 +69,7 @@ def turned(seed: int) -> np.ndarray:
     return m
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.sampled_from(list(KINDS)), st.integers(0, 10**6), st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
 def test_a_sub_ray_counts_by_the_irradiance_of_the_part_of_the_lamp_that_it_meets(name, seed, x, y):
     """Judged by the walk for rays, and by cos cos / r^2 on flat lamps, by their solid angle on others."""

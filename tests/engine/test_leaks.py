@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Instances, Material, Mesh, RenderSettings, Scene, render, uniform_world
@@ -106,7 +106,6 @@ def test_at_a_rim_little_of_the_far_side_gives_way(behind, subpixels, found):
     assert closed([[0] * subpixels, [1] * subpixels, [-1] * subpixels], f)[0] == found
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000))
 def test_those_that_leak_vanish_and_the_others_keep_their_order(seed):
     rng = np.random.default_rng(seed)

@@ -1,7 +1,7 @@
 """Fragments of lens views that merge: what represents others stands for as many, and where it was asked."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pointmr_engine.forward.pixel_filter import NO_SLOPES, allocate_slopes
@@ -28,7 +28,6 @@ def merged(count, seen, seed=0, part=None, view=1, turns=None):
     return into, times, f, kept[:groups], chosen[:groups]
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, EACH))
 def test_who_represents_others_counts_for_all_of_them(seed, count):
     rng = np.random.default_rng(seed)

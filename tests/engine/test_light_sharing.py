@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.closed_forms.stage import look_at
@@ -56,7 +56,6 @@ def shared(shares, x, y, side, change=OF_WORLD, eye=(0.0, 0.0, 0.0)):
     return out
 
 
-@settings(deadline=None)
 @given(st.integers(0, 1000))
 def test_even_light_stays_what_it_is_whatever_the_colours(seed):
     shares, x, y = shares_of(6, np.random.default_rng(seed))
@@ -116,7 +115,6 @@ def test_a_few_rays_that_meet_something_at_once_keep_nothing_apart():
     assert after.var() < before.var() / 10
 
 
-@settings(deadline=None)
 @given(st.floats(0.0, 10.0), st.floats(1e-6, 10.0))
 def test_nothing_counts_as_nearer_than_the_closest(t, closest):
     rays = np.array([1, 0], np.int64), np.array([t, t]), np.full(2, closest, np.float32)
@@ -133,7 +131,6 @@ def test_nothing_counts_as_nearer_than_the_closest(t, closest):
     )
 
 
-@settings(deadline=None)
 @given(st.floats(-1.0, 1.0), st.floats(0.0, 2.0 * np.pi))
 def test_rays_tell_how_half_a_sky_changes_with_the_normal(height, around):
     """A normal n receives (1 + n d) / 2 of the half about d, which changes by (n + d) / 2."""
@@ -238,7 +235,6 @@ def test_what_counts_more_decides():
 # Light that shadow rays bring
 
 
-@settings(deadline=None)
 @given(st.integers(0, 1000))
 def test_light_is_moved_and_not_made(seed):
     rng = np.random.default_rng(seed)

@@ -61,7 +61,7 @@ def boxes_of(octree: Octree, g: int) -> np.ndarray:
     return np.array(boxes)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(0, 300), st.integers(0, 60), st.sampled_from([1e-6, 1.0, 1e6]))
 def test_a_tree_of_intervals_and_boxes(seed, triangles, placements, size):
     if not triangles + placements:
@@ -105,7 +105,7 @@ def test_a_tree_of_intervals_and_boxes(seed, triangles, placements, size):
     assert visited == triangles + placements
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 10**6))
 def test_levels_fit_sizes(seed):
     octree = octree_of(nested(seed, 200, 0))

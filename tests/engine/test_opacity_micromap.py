@@ -88,7 +88,7 @@ def test_opaque_scenes_have_no_map():
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_shadow_rays_pass_holes_alone(seed):
     geometry, programs, micromap = parts(card())
     plain = set_opaque(build_acceleration(geometry), np.array([p.opaque for p in programs]))

@@ -48,7 +48,7 @@ def agree(got, expected, rtol):
     np.testing.assert_allclose(got[3], expected[3], atol=rtol * expected[0])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.integers(1, 200))
 def test_moments_of_a_mesh_are_exact(seed, triangles):
     mesh = random_mesh(np.random.default_rng(seed), triangles, 1.0, (5.0, -3.0, 2.0))
@@ -57,7 +57,7 @@ def test_moments_of_a_mesh_are_exact(seed, triangles):
     agree(got, moments(mesh.positions[mesh.triangles]), 1e-5)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seeds, st.integers(1, 3), st.sampled_from([0.0, 1e6]))
 def test_moments_through_instances_are_those_of_flattened_geometry(seed, depth, offset):
     rng = np.random.default_rng(seed)
@@ -73,7 +73,7 @@ def test_moments_through_instances_are_those_of_flattened_geometry(seed, depth, 
     agree(scene_moments(acceleration, prefilter(acceleration)), expected, 1e-5 if offset == 0.0 else 1e-4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seeds)
 def test_uneven_scales_are_exact_for_one_normal_and_near_for_all(seed):
     rng = np.random.default_rng(seed)

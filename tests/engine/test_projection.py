@@ -64,7 +64,7 @@ def test_factors_of_known_directions():
     assert pr.depth_ratio(True, -1.0, 3.0) == math.inf and pr.depth_ratio(False, -1.0, 3.0) == 1.0
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(seed=st.integers(0, 2**32), kind=st.sampled_from(KINDS))
 def test_bounds_hold_everywhere_behind_a_rectangle(seed, kind):
     rng = np.random.default_rng(seed)

@@ -86,7 +86,7 @@ def test_half_a_cell_is_a_half():
     np.testing.assert_allclose(sums.reshape(SIZE, SIZE), 1.0 - clear, atol=1e-5)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.lists(st.tuples(st.floats(2, SIZE - 2), st.floats(2, SIZE - 2)), min_size=3, max_size=3),
     st.floats(0.05, 0.95),
@@ -172,7 +172,7 @@ def test_what_is_behind_a_full_cell_is_not_kept():
     assert set(target.entry[8, 8, : target.ids[8, 8] + 1].tolist()) == {0}
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4 * ROOM))
 def test_full_lists_stay_in_their_bounds(seed, count):
     """However many thin layers there are, in whatever order: coverages stay shares, and there is never less of them."""

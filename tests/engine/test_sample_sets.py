@@ -137,7 +137,7 @@ def test_every_set_has_the_moments_of_its_own_nodes_surface(strategy):
         np.testing.assert_allclose(found[2], second, atol=1e-5 * area)
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(st.integers(0, 1000))
 def test_a_level_and_what_is_kept_above_it_are_the_surface(seed):
     """Nested groups, scaled differently along their axes: merged normals make areas inexact there, but not by much."""
@@ -207,7 +207,7 @@ def test_samples_cover_the_surface_of_their_node(strategy, factor):
         assert distance <= factor * sets.spacing(0, int(a.level[n]))
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(st.integers(0, 1000))
 def test_samples_cover_nested_groups(seed):
     rng = np.random.default_rng(seed)

@@ -92,7 +92,7 @@ def assert_same(ours, exact, scale):
 # pieces
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seeds, st.floats(0.05, 3.0))
 def test_pieces_sum_to_their_triangles_and_are_small(seed, size):
     triangles = soup(seed)
@@ -150,7 +150,7 @@ def test_what_has_no_area_has_no_piece_and_no_sample():
 # strategies
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.floats(0.1, 5.0), st.sampled_from(SURE))
 def test_every_point_of_a_surface_is_within_the_covering_radius(seed, spacing, strategy):
     triangles = soup(seed)
@@ -158,7 +158,7 @@ def test_every_point_of_a_surface_is_within_the_covering_radius(seed, spacing, s
     assert distances(dense_points(triangles, 300, seed), samples.position).max() <= spacing * (1 + 1e-6)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.floats(0.1, 5.0), st.sampled_from(STRATEGIES))
 def test_moments_of_samples_sum_to_those_of_the_surface(seed, spacing, strategy):
     triangles = soup(seed)
@@ -175,7 +175,7 @@ def test_moments_of_samples_sum_to_those_of_the_surface(seed, spacing, strategy)
         np.testing.assert_allclose(np.einsum("cb,cbk->ck", b, corner), samples.position, atol=1e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.integers(1, 400), st.floats(0.01, 10.0), st.sampled_from(STRATEGIES))
 def test_selection_covers_its_candidates(seed, count, spacing, strategy):
     rng = np.random.default_rng(seed)
@@ -273,7 +273,7 @@ def test_neighbourhood_covers_planes_with_few_samples():
 # coverage
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.integers(1, 60))
 def test_verified_radius_is_a_tight_upper_bound(seed, count):
     triangles = soup(seed, 3)

@@ -17,7 +17,7 @@ def surfels(count: int, seed: int, spread: float = 1.0) -> np.ndarray:
     return row
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 60), st.integers(0, 1000), st.floats(1e-3, 1e3))
 def test_a_ball_contains_its_surfels_as_far_as_they_reach(count, seed, spread):
     row = surfels(count, seed, spread)

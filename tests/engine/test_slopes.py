@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pointmr_engine.forward.pixel_filter import NO_SLOPES, allocate_slopes, filter_taps, filter_tile
@@ -37,7 +37,6 @@ def by_place(f, gx, gy):
     return np.repeat((1.0 + gx * f.x + gy * f.y)[:, None], 3, 1)
 
 
-@settings(deadline=None)
 @given(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02))
 def test_linear_light_has_its_slope(gx, gy):
     f, ids = grid()
@@ -47,7 +46,6 @@ def test_linear_light_has_its_slope(gx, gy):
         np.testing.assert_allclose(values[inner], slope, rtol=0.02, atol=1e-5)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 1000))
 def test_no_place_is_much_brighter_or_darker_than_what_is_about_it(seed):
     rng = np.random.default_rng(seed)
@@ -99,7 +97,6 @@ def filtered(f, ids, light, slopes, subpixels):
     return out[..., 0]
 
 
-@settings(deadline=None)
 @given(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02))
 def test_the_filter_keeps_the_mean_and_shows_linear_light_as_it_is(gx, gy):
     f, ids = grid()
@@ -129,7 +126,6 @@ def in_image(perspective: bool, sides, change, depth=5.0):
     return out
 
 
-@settings(deadline=None)
 @pytest.mark.parametrize("perspective", [False, True])
 @given(st.floats(-0.6, 0.6), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.0, 6.0))
 def test_slopes_of_textures_are_those_that_the_image_shows(perspective, gx, gy, lean, turn):

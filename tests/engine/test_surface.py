@@ -31,7 +31,7 @@ def unit(v):
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seeds, st.sampled_from([0.0, 1e6]))
 def test_frames_under_any_transform(seed, offset):
     rng = np.random.default_rng(seed)
@@ -229,7 +229,7 @@ def test_tangents_are_smooth_where_normals_are_and_break_at_seams():
     np.testing.assert_allclose(np.linalg.norm(points.tangents["Map"][:, :3], axis=1), 1, atol=1e-5)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_moved_points_stay_in_the_plane_and_move_everything(seed):
     rng = np.random.default_rng(seed)
@@ -258,7 +258,7 @@ def test_moved_points_stay_in_the_plane_and_move_everything(seed):
     np.testing.assert_allclose(there.moved(step[None]).position - there.position, step[None], atol=1e-9)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_points_anywhere_are_those_of_hits(seed):
     rng = np.random.default_rng(seed)

@@ -32,7 +32,6 @@ def numbers(x, y, shape, left=0, low=0, batch=None):
     return samples, pixel
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 300), st.integers(1, 50))
 def test_every_fragment_has_samples_of_its_own_whatever_the_tile(seed, n, batch):
     rng = np.random.default_rng(seed)
@@ -85,7 +84,7 @@ def tile(rng):
 
 
 @given(st.integers(0, 10**6))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_margin_keeps_one_fragment_of_each_cone_and_all_within_stay(seed):
     ids, f = tile(np.random.default_rng(seed))
     before, count = ids.copy(), f.count.copy()

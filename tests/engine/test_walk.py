@@ -44,7 +44,7 @@ def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
     return m
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seeds,
     st.integers(0, 3),
@@ -79,7 +79,7 @@ def test_agrees_with_every_ray_against_every_triangle(seed, depth, scale, offset
     assert told > 0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seeds, st.sampled_from([0.0, 1e5]), st.booleans())
 def test_closed_meshes_do_not_leak(seed, offset, nested):
     rng = np.random.default_rng(seed)
@@ -334,7 +334,7 @@ def test_shadows_stop_at_opaque_triangles_only():
         set_opaque(acceleration, np.ones(7, np.bool_))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_shadow_rays_agree_with_closest_hits(seed):
     rng = np.random.default_rng(seed)
@@ -419,7 +419,7 @@ def test_a_forest_of_ten_to_the_fifteen():
     assert np.abs(along - frames.position)[k].max() < 1e-6
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(1, 300), seeds, st.booleans())
 def test_every_triangle_lies_in_exactly_one_leaf_within_its_boxes(count, seed, clustered):
     rng = np.random.default_rng(seed)

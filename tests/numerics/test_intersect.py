@@ -31,7 +31,7 @@ def _triangles(blocks, o, d, radius, result):
     return triangle_test(blocks, np.int64(1), axes, sheared, shear, zero, far, result), shift, length
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(seeds, st.sampled_from([0.3, 3.0, 1e6]), st.integers(0, 3))
 def test_boxes_that_are_met_are_never_missed(seed, distance, flat_axes):
     rng = np.random.default_rng(seed)
@@ -61,7 +61,7 @@ def test_boxes_that_are_met_are_never_missed(seed, distance, flat_axes):
     assert not (behind >> 3 & 1 and outside[3] and distance == 1e6)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(seeds, st.sampled_from([0.5, 1e4]), st.booleans())
 def test_triangles_against_exact_weights(seed, distance, axis_aligned):
     rng = np.random.default_rng(seed)
@@ -132,7 +132,7 @@ def _singular(address, i):
     return is_singular(pointer_f64(address), 12 * i)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seeds)
 def test_transforms(seed):
     rng = np.random.default_rng(seed)

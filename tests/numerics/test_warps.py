@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pointmr_engine.numerics import warps
@@ -96,7 +96,6 @@ def test_solid_angles_of_known_shapes():
     assert warps.triangle_solid_angle(*a, *b, *c) == pytest.approx(0.5e-8, rel=1e-5)
 
 
-@settings(deadline=None)
 @given(
     coordinate, coordinate, st.floats(0.01, 10.0), st.floats(0.01, 10.0), st.floats(0.01, 10.0), unit, unit
 )
@@ -121,7 +120,6 @@ def test_rectangle_is_uniform_in_solid_angle(height):
         assert inside.mean() == pytest.approx(share, abs=0.01)
 
 
-@settings(deadline=None)
 @given(*[st.tuples(coordinate, coordinate, coordinate)] * 3, unit, unit)
 def test_triangle_directions_lie_in_it(a, b, c, u1, u2):
     assume(min(np.linalg.norm(v) for v in (a, b, c)) > 1e-3)
