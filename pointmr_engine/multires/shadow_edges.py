@@ -19,7 +19,7 @@ from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
 
-LOOKS = 5  # more points of a fragment
+LOOKS = 8  # more points of a fragment
 LARGE = 8  # subpixels from which a fragment is worth more than one point
 NEXT_LOOK = np.array([0.7549, 0.5698, 0.6180])  # from look to look, in the unit cube of the lamp's points
 DIFFERENT = 0.1  # of a lamp's light: shares of neighbours between which an edge lies

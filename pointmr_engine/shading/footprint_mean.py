@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.differentials import moved_points, tangent_axes
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.values import cross, dot
@@ -71,7 +71,7 @@ def footprint_means(
         places = np.concatenate([places, other_places], 1)
         for name, v in found.items():
             mean[name][chosen] = v.mean(0)
-        along = _planes(places.astype(np.float32), found)
+        along = _planes(places, found)
         slopes = Slopes(chosen, sides, along) if slopes is None else _with(slopes, differ, along)
     return mean, slopes
 
@@ -93,25 +93,51 @@ def _with(slopes: Slopes, rows: np.ndarray, along: tuple[dict, dict]) -> Slopes:
     return slopes
 
 
+@device
+def _slopes_of(places, x, i, c):
+    """Rise (a, b) along either axis of the plane nearest to x[:, i, c], what of its squares is the plane's, and all."""
+    k = len(x)
+    mean_u, mean_v, mean = 0.0, 0.0, 0.0
+    for j in range(k):
+        mean_u, mean_v, mean = mean_u + places[0, j, i], mean_v + places[1, j, i], mean + x[j, i, c]
+    mean_u, mean_v, mean = mean_u / k, mean_v / k, mean / k
+    uu, uv, vv, ux, vx, xx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(k):
+        u, v, w = places[0, j, i] - mean_u, places[1, j, i] - mean_v, x[j, i, c] - mean
+        uu, uv, vv = uu + u * u, uv + u * v, vv + v * v
+        ux, vx, xx = ux + u * w, vx + v * w, xx + w * w
+    inverse = 1.0 / (uu * vv - uv * uv)  # of stratified places: far from 0
+    a, b = (vv * ux - uv * vx) * inverse, (uu * vx - uv * ux) * inverse
+    return a, b, uu * a * a + 2.0 * uv * a * b + vv * b * b, xx
+
+
+@uncounted
+def _fit_planes(places, x, along):
+    """along (2, m, channels) from values x (k, m, channels) at places (2, k, m): see `_planes`."""
+    freedom = 2.0 / (x.shape[0] - 3)
+    for i in range(x.shape[1]):
+        of_planes, whole = 0.0, 0.0
+        for c in range(x.shape[2]):
+            a, b, of_plane, squares = _slopes_of(places, x, i, c)
+            along[0, i, c], along[1, i, c] = a, b
+            of_planes, whole = of_planes + of_plane, whole + squares
+        chance = freedom * max(whole - of_planes, 0.0)
+        part = max(1.0 - chance / max(of_planes, 1e-30), 0.0)
+        for c in range(x.shape[2]):
+            along[0, i, c] *= part
+            along[1, i, c] *= part
+
+
 def _planes(places: np.ndarray, values: dict) -> tuple[dict, dict]:
     """By name, (m, ...): by how much the plane nearest to values (k, m, ...) at places (2, k, m) rises along either
     axis, in one step of 1; less by what chance may have of it (James and Stein 1961).
     """
-    u, v = places - places.mean(1, keepdims=True)
-    uu, uv, vv = (u * u).sum(0), (u * v).sum(0), (v * v).sum(0)
-    inverse = 1.0 / (uu * vv - uv * uv)  # of stratified places: far from 0
-    weights = (vv * u - uv * v) * inverse, (uu * v - uv * u) * inverse
-    freedom = np.float32(2.0 / (len(u) - 3))
     along: tuple[dict, dict] = {}, {}
     for name, x in values.items():
-        x = x if x.ndim == 3 else x[..., None]
-        a, b = ((w[..., None] * x).sum(0) for w in weights)
-        whole = x.var(0).sum(-1) * len(u)
-        of_plane = (uu[:, None] * a * a + 2.0 * uv[:, None] * a * b + vv[:, None] * b * b).sum(-1)
-        chance = freedom * np.maximum(whole - of_plane, 0.0)
-        part = np.maximum(1.0 - chance / np.maximum(of_plane, 1e-30), 0.0)[:, None]
-        for target, slope in zip(along, (a, b), strict=True):
-            target[name] = (part * slope).reshape(values[name].shape[1:])
+        rises = np.empty((2, *x.shape[1:]), np.float32)
+        of_channels = rises.reshape(*rises.shape[:2], -1)
+        _fit_planes(places, np.ascontiguousarray(x).reshape(*x.shape[:2], -1), of_channels)
+        along[0][name], along[1][name] = rises
     return along
 
 
