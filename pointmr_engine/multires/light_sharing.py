@@ -248,8 +248,9 @@ def _add_received(shares, order, into, total, received, out):
         k, row = np.int64(order[s]), np.int64(into[s])
         turn = _turn(received, row, shares.normal, k)
         for c in range(3):
-            if received[c, row] > 0.0 and shares.albedo[k, c] > DIM:
-                out[k, c] += turn * shares.albedo[k, c] * received[SUM_ARRIVED + c, row] / received[c, row]
+            heard, arrived = received[SUM_HEARD + c, row], received[SUM_ARRIVED + c, row]
+            if heard > 0.0 and shares.albedo[k, c] > DIM:
+                out[k, c] += turn * shares.albedo[k, c] * arrived / heard
             else:
                 out[k, c] += shares.light[k, c]
 

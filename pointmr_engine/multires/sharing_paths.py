@@ -166,9 +166,9 @@ class SharingPaths(EdgePaths):
 
     def settle(self, count: int) -> int:
         shared, rays, met = self.shared_light, self.shadows, self.shadow_hits
-        if self.asks == WORLD and self.begins:
-            shared.count_world_rays(rays, met, count, self.first)
         if self.asks == WORLD:
+            if self.begins:
+                shared.count_world_rays(rays, met, count, self.first)
             shared.take_turns(rays, met, count, self.first)
         elif self.asks == LAMP:
             shared.take_lamps(rays, met, count, self.first, self.begins)

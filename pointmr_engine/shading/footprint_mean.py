@@ -94,33 +94,41 @@ def _with(slopes: Slopes, rows: np.ndarray, along: tuple[dict, dict]) -> Slopes:
 
 
 @device
-def _slopes_of(places, x, i, c):
-    """Rise (a, b) along either axis of the plane nearest to x[:, i, c], what of its squares is the plane's, and all."""
-    k = len(x)
-    mean_u, mean_v, mean = 0.0, 0.0, 0.0
+def _spread_of(places, i):
+    """Mean of places[:, :, i] along either axis, and the sums uu, uv, vv of products of what differs from it."""
+    k = places.shape[1]
+    mean_u, mean_v = 0.0, 0.0
     for j in range(k):
-        mean_u, mean_v, mean = mean_u + places[0, j, i], mean_v + places[1, j, i], mean + x[j, i, c]
-    mean_u, mean_v, mean = mean_u / k, mean_v / k, mean / k
-    uu, uv, vv, ux, vx, xx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        mean_u, mean_v = mean_u + places[0, j, i], mean_v + places[1, j, i]
+    mean_u, mean_v = mean_u / k, mean_v / k
+    uu, uv, vv = 0.0, 0.0, 0.0
     for j in range(k):
-        u, v, w = places[0, j, i] - mean_u, places[1, j, i] - mean_v, x[j, i, c] - mean
+        u, v = places[0, j, i] - mean_u, places[1, j, i] - mean_v
         uu, uv, vv = uu + u * u, uv + u * v, vv + v * v
-        ux, vx, xx = ux + u * w, vx + v * w, xx + w * w
-    inverse = 1.0 / (uu * vv - uv * uv)  # of stratified places: far from 0
-    a, b = (vv * ux - uv * vx) * inverse, (uu * vx - uv * ux) * inverse
-    return a, b, uu * a * a + 2.0 * uv * a * b + vv * b * b, xx
+    return mean_u, mean_v, uu, uv, vv
 
 
 @uncounted
 def _fit_planes(places, x, along):
     """along (2, m, channels) from values x (k, m, channels) at places (2, k, m): see `_planes`."""
-    freedom = 2.0 / (x.shape[0] - 3)
+    k = x.shape[0]
+    freedom = 2.0 / (k - 3)
     for i in range(x.shape[1]):
+        mean_u, mean_v, uu, uv, vv = _spread_of(places, i)
+        inverse = 1.0 / (uu * vv - uv * uv)  # of stratified places: far from 0
         of_planes, whole = 0.0, 0.0
         for c in range(x.shape[2]):
-            a, b, of_plane, squares = _slopes_of(places, x, i, c)
+            mean, ux, vx = 0.0, 0.0, 0.0
+            for j in range(k):
+                mean += x[j, i, c]
+            mean /= k
+            for j in range(k):
+                w = x[j, i, c] - mean
+                ux, vx = ux + (places[0, j, i] - mean_u) * w, vx + (places[1, j, i] - mean_v) * w
+                whole += w * w
+            a, b = (vv * ux - uv * vx) * inverse, (uu * vx - uv * ux) * inverse
             along[0, i, c], along[1, i, c] = a, b
-            of_planes, whole = of_planes + of_plane, whole + squares
+            of_planes += uu * a * a + 2.0 * uv * a * b + vv * b * b
         chance = freedom * max(whole - of_planes, 0.0)
         part = max(1.0 - chance / max(of_planes, 1e-30), 0.0)
         for c in range(x.shape[2]):
