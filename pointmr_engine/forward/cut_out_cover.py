@@ -7,11 +7,13 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.opacity_lattice import sample_place
+from pointmr_engine.forward.subpixel_places import INNER
 from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 
 OPAQUE = 192  # of 255: from here on a sample counts as opaque
 SURE = 0.75  # of a cell's opacity: a place in it that is less opaque lies in a hole between the samples
+EDGE = 1e-12  # barycentric: what is so near an edge belongs to the triangles on both sides
 NARROW = np.float32(0.05)  # of a pixel: footprints of looks at triangles with holes
 
 
@@ -64,26 +66,23 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
         return False
     inverse = 1.0 / area
     side = opacity.shape[1]
-    y0 = np.int64(max(math.ceil(min(y[0], y[1], y[2]) - 0.5), 0.0))
-    y1 = np.int64(min(math.ceil(max(y[0], y[1], y[2]) - 0.5) - 1.0, height - 1.0))
+    low, high = min(y[0], y[1], y[2]), max(y[0], y[1], y[2])
+    left, right = min(x[0], x[1], x[2]), max(x[0], x[1], x[2])
+    if high < INNER or right < INNER:
+        return False
+    y0, x0 = np.int64(max(low + INNER, 0.0)), np.int64(max(left + INNER, 0.0))
+    y1, x1 = np.int64(min(high - INNER, height - 1.0)), np.int64(min(right - INNER, width - 1.0))
     written = False
     for j in range(y0, y1 + 1):
-        yc = j + 0.5
-        left, right = math.inf, -math.inf
-        for k in range(3):
-            n = k + 1 if k < 2 else 0
-            if (y[k] <= yc) != (y[n] <= yc):
-                at = x[k] + (yc - y[k]) * ((x[n] - x[k]) / (y[n] - y[k]))
-                left, right = min(left, at), max(right, at)
-        x0 = np.int64(max(math.ceil(left - 0.5), 0.0))
-        x1 = np.int64(min(math.ceil(right - 0.5) - 1.0, width - 1.0))
         row = turn_x = turn_y = np.int64(0)
         for i in range(x0, x1 + 1):
             if i == x0 or i & 7 == 0:
                 row, turn_x, turn_y = _order_at(key, i, j, area > 0.0)
-            xc = i + 0.5
+            xc, yc = i + 0.5 + target.shift[1, j & 7], j + 0.5 + target.shift[0, i & 7]
             b1 = ((xc - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (yc - y[0])) * inverse
             b2 = ((x[1] - x[0]) * (yc - y[0]) - (xc - x[0]) * (y[1] - y[0])) * inverse
+            if b1 < -EDGE or b2 < -EDGE or b1 + b2 > 1.0 + EDGE:
+                continue
             nearness = w[0] + b1 * (w[1] - w[0]) + b2 * (w[2] - w[0])
             if not nearness > target.depth[j, i]:
                 continue

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.forward.subpixel_places import INNER, subpixel_places
 from pointmr_engine.numerics.dither import RANKS, SIDE
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
@@ -49,8 +50,11 @@ class Target(NamedTuple):
     ids: np.ndarray  # (H, W + 8) int32 entry, EMPTY: nothing
     farthest: np.ndarray  # (H / BLOCK, W / BLOCK) float32: lowest nearness in a block, or lower
     stale: np.ndarray  # the same, uint8: something was drawn since `farthest` was taken
-    address: np.ndarray  # (3,) uint64: of depth, ids, pattern
+    address: np.ndarray  # (4,) uint64: of depth, ids, pattern, shift
     pattern: np.ndarray  # (64, 16) float32: thresholds of eight ordered dithers, each twice side by side
+    shift: (
+        np.ndarray
+    )  # (2, 16) float32: (i, j) looks at (i + 0.5 + shift[1, j & 7], j + 0.5 + shift[0, i & 7])
 
 
 def make_view(camera: CameraArrays, subpixels: int, depth_range: tuple[float, float]) -> View:
@@ -74,15 +78,17 @@ def make_view(camera: CameraArrays, subpixels: int, depth_range: tuple[float, fl
     )
 
 
-def allocate_target(width: int, height: int) -> Target:
-    """Buffers for width x height subpixels, rounded up to whole blocks."""
+def allocate_target(width: int, height: int, subpixels: int = 1) -> Target:
+    """Buffers for width x height subpixels, rounded up to whole blocks. subpixels: per side of a pixel."""
     width, height = -(-width // BLOCK) * BLOCK, -(-height // BLOCK) * BLOCK
     depth = np.zeros((height, width + WIDTH), np.float32)
     ids = np.full((height, width + WIDTH), EMPTY, np.int32)
-    pattern = thresholds()
+    pattern, shift = thresholds(), subpixel_places(subpixels)
     blocks = (height // BLOCK, width // BLOCK)
-    address = np.array([a.ctypes.data for a in (depth, ids, pattern)], np.uint64)
-    return Target(depth, ids, np.zeros(blocks, np.float32), np.zeros(blocks, np.uint8), address, pattern)
+    address = np.array([a.ctypes.data for a in (depth, ids, pattern, shift)], np.uint64)
+    return Target(
+        depth, ids, np.zeros(blocks, np.float32), np.zeros(blocks, np.uint8), address, pattern, shift
+    )
 
 
 def beyond(view: View) -> float:
@@ -117,6 +123,12 @@ def thresholds_from(target, phase, x, y):
 
 
 @device
+def shifts_from(target, x):
+    """Address of what is added to y of eight subpixels from column x on."""
+    return target.address[3] + np.uint64(4 * (x & 7))
+
+
+@device
 def cover_run(target, y, first, last, nearness, slope, entry, opacity, phase):
     """Draw entry at the subpixels first..last of row y; nearness at `first`. Returns whether any was written."""
     stride = np.int64(target.depth.shape[1])
@@ -136,18 +148,18 @@ def cover_run(target, y, first, last, nearness, slope, entry, opacity, phase):
 def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope_y, entry, opacity, phase):
     """Draw the ellipse d^T [[a, b], [b, c]]^-1 d <= 1 about (x, y); returns whether anything was written.
 
-    Subpixel (i, j) is covered when its centre (i + 0.5, j + 0.5) is inside. slope_*: growth of nearness per subpixel.
+    slope_*: growth of nearness per subpixel.
     """
-    f, half, one = np.float32, np.float32(0.5), np.float32(1)
+    f, half, one, inner = np.float32, np.float32(0.5), np.float32(1), np.float32(INNER)
     x, y, nearness, slope_x, slope_y = f(x), f(y), f(nearness), f(slope_x), f(slope_y)
     a, b, c = max(f(a), f(1e-9)), f(b), max(f(c), f(1e-9))
     wide, high = math.sqrt(a), math.sqrt(c)
-    # rows and columns whose centres the bounds reach; clipped twice, for int64 of what is not finite is below 0
-    top, right = y + high - half, x + wide - half
+    # rows and columns whose places the bounds reach; clipped twice, for int64 of what is not finite is below 0
+    top, right = y + high - inner, x + wide - inner
     if top < f(0) or right < f(0):
         return False
-    y0 = max(np.int64(min(y - high + half, f(height))), np.int64(0))
-    x0 = max(np.int64(min(x - wide + half, f(width))), np.int64(0))
+    y0 = max(np.int64(min(y - high + inner, f(height))), np.int64(0))
+    x0 = max(np.int64(min(x - wide + inner, f(width))), np.int64(0))
     y1, x1 = np.int64(min(top, f(height - 1))), np.int64(min(right, f(width - 1)))
     inverse = one / c
     lean = b * inverse
@@ -156,13 +168,12 @@ def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope
     written = np.int64(0)
     for first in range(x0, x1 + 1, WIDTH):
         dx = f(first) + half - x
+        shifts = shifts_from(target, first)
         for j in range(y0, y1 + 1):
-            dy = f(j) + half - y
             limits = thresholds_from(target, phase, first, j)
             written |= cover_eight_within(
-                target.address[0], target.address[1], j * stride + first, dx - lean * dy,
-                spread * (one - dy * dy * inverse), nearness + slope_y * dy + slope_x * dx, slope_x, entry, limits,
-                f(opacity),
+                target.address[0], target.address[1], j * stride + first, shifts, dx + target.shift[1, j & 7],
+                f(j) + half - y, lean, spread, inverse, (nearness, slope_x, slope_y), entry, limits, f(opacity),
             )  # fmt: skip
     return written != 0
 
@@ -171,22 +182,22 @@ def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope
 def cover_triangle(target, width, height, x, y, w, entry):
     """Draw a triangle with corners x, y, nearness w (three float64 each, in subpixels); whether anything was written.
 
-    Subpixels whose centres are inside, and of those on a shared edge each once: an edge is followed from its lower end,
+    Subpixels whose places are inside, and of those on a shared edge each once: an edge is followed from its lower end,
     whatever triangle it belongs to.
     """
     f = np.float32
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     low, high = min(y[0], y[1], y[2]), max(y[0], y[1], y[2])
     left, right = max(min(x[0], x[1], x[2]), 0.0), max(x[0], x[1], x[2])
-    y0 = np.int64(max(math.ceil(low - 0.5), 0.0))
-    y1 = np.int64(min(math.ceil(high - 0.5) - 1.0, height - 1.0))
-    if area == 0.0 or y0 > y1 or right < 0.0 or left > width:
+    y0 = np.int64(max(low + INNER, 0.0))
+    y1 = np.int64(min(high - INNER, height - 1.0))
+    if area == 0.0 or high < INNER or y0 > y1 or right < 0.0 or left > width:
         return False
     scale = 1.0 / area
     slope_x = ((w[1] - w[0]) * (y[2] - y[0]) - (w[2] - w[0]) * (y[1] - y[0])) * scale
     slope_y = ((w[2] - w[0]) * (x[1] - x[0]) - (w[1] - w[0]) * (x[2] - x[0])) * scale
     # a triangle thinner than rounding: stay between its corners
-    least, most = f(min(w[0], w[1], w[2])), f(max(w[0], w[1], w[2]))
+    bounds = (f(min(w[0], w[1], w[2])), f(max(w[0], w[1], w[2])))
     xa, ya, xb, yb, xc, yc = x[0], y[0], x[1], y[1], x[2], y[2]
     if _is_below(xb, yb, xa, ya):
         xa, ya, xb, yb = xb, yb, xa, ya
@@ -195,25 +206,46 @@ def cover_triangle(target, width, height, x, y, w, entry):
     if _is_below(xb, yb, xa, ya):
         xa, ya, xb, yb = xb, yb, xa, ya
     whole, lower, upper = (xc - xa) / (yc - ya), (xb - xa) / (yb - ya), (xc - xb) / (yc - yb)
+    corners = (f(ya), f(yb), f(yc))
     stride = np.int64(target.depth.shape[1])
-    column = max(np.int64(left), np.int64(0))
+    column = np.int64(left)
     narrow = right - column <= WIDTH
     written = np.int64(0)
     for j in range(y0, y1 + 1):
         at = j + 0.5
-        one = f(xa + (at - ya) * whole)
-        other = f(xa + (at - ya) * lower if at < yb else xb + (at - yb) * upper)
-        begin, end = min(one, other), max(one, other)
-        i = column if narrow else max(np.int64(min(begin, f(width))), np.int64(0))
-        last = min(end, f(width))
+        edges = (
+            f(xa + (at - ya) * whole), f(whole), f(xa + (at - ya) * lower), f(lower), f(xb + (at - yb) * upper),
+            f(upper),
+        )  # fmt: skip
+        i, last = column, min(right, width)
+        if not narrow:
+            begin, end = _span(xa, ya, xb, yb, yc, whole, lower, upper, j)
+            i, last = max(np.int64(min(begin, width)), np.int64(0)), min(end, width)
         while i < last:
-            nearness = w[0] + slope_x * (i + 0.5 - x[0]) + slope_y * (at - y[0])
+            place = i + 0.5 + target.shift[1, j & 7]
+            nearness = w[0] + slope_x * (place - x[0]) + slope_y * (at - y[0])
             written |= cover_eight_between(
-                target.address[0], target.address[1], j * stride + i, f(i + 0.5), begin, end, f(nearness),
-                f(slope_x), least, most, entry,
+                target.address[0], target.address[1], j * stride + i, shifts_from(target, i), f(place), f(at), corners,
+                edges, (f(nearness), f(slope_x), f(slope_y)), bounds, entry,
             )  # fmt: skip
             i += WIDTH
     return written != 0
+
+
+@device
+def _span(xa, ya, xb, yb, yc, whole, lower, upper, j):
+    """Least and largest x of a triangle in row j; as cover_triangle has its corners and slopes."""
+    begin, end = math.inf, -math.inf
+    bottom, top = max(ya, np.float64(j)), min(yc, j + 1.0)
+    for k in range(2):
+        at = bottom if k == 0 else top
+        one, other = xa + (at - ya) * whole, xb  # slopes of level edges are infinite
+        if at != yb:
+            other = xa + (at - ya) * lower if at < yb else xb + (at - yb) * upper
+        begin, end = min(begin, one, other), max(end, one, other)
+    if bottom < yb and yb < top:
+        begin, end = min(begin, xb), max(end, xb)
+    return begin, end
 
 
 @device

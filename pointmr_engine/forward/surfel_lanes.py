@@ -11,6 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from pointmr_engine.forward.subpixel_places import INNER
 from pointmr_engine.hierarchy.set_chunks import BALL_REACH
 from pointmr_engine.hierarchy.surfels import (
     AREA,
@@ -260,10 +261,10 @@ def corners_eight(typingctx, corners, first, constants, out):
             behind = here if behind is None else builder.or_(behind, here)
         x0, x1 = xs[0].at_most(xs[1]).at_most(xs[2]), xs[0].at_least(xs[1]).at_least(xs[2])
         y0, y1 = ys[0].at_most(ys[1]).at_most(ys[2]), ys[0].at_least(ys[1]).at_least(ys[2])
-        # centres of columns and rows that the bounds reach
+        # columns and rows that the bounds reach, where their subpixels may look
         areas = constant(ALL_AREAS) > 0.5
-        columns = ((x1 - 0.5)._unary("floor") - (x0 - 0.5)._unary("ceil")) > -0.5
-        lines = ((y1 - 0.5)._unary("floor") - (y0 - 0.5)._unary("ceil")) > -0.5
+        columns = ((x1 - INNER)._unary("floor") - (x0 + (INNER - 1.0))._unary("ceil")) > -0.5
+        lines = ((y1 - INNER)._unary("floor") - (y0 + (INNER - 1.0))._unary("ceil")) > -0.5
         seen = builder.or_(areas, builder.and_(columns, lines))
         seen = builder.and_(seen, builder.and_(x1 > 0.0, y1 > 0.0))
         seen = builder.and_(seen, builder.and_(x0 < constant(WIDTH_OF_TILE), y0 < constant(HEIGHT_OF_TILE)))

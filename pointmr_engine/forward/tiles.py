@@ -58,7 +58,7 @@ class Workspace:
     @staticmethod
     def target_of(image, side: int):
         """What tiles are drawn into: `side` subpixels square."""
-        return allocate_target(side, side)
+        return allocate_target(side, side, image.subpixels)
 
     def begin(self, image) -> None:
         """Turn to another image, for which these buffers fit (method.Image.fits)."""

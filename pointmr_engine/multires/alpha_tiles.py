@@ -131,7 +131,7 @@ def merge_cells(
 
     first, weight: as find_layers left them, and then of the merged ones. footprint: width of a cell at depth 1
     (perspective) or in metres. largest (F,) int32 to work in. ids (H, W): filled, the fragment that a cell shows most
-    of. seen (F, 2) float32: a place of each in the tile, of a subpixel's first corner.
+    of. seen (F, 2) float32: a place of each in the tile, subpixels.
     left, low: the tile's first cell in the image.
     """
     f, groups = fragments, np.int64(0)
@@ -166,8 +166,8 @@ def merge_cells(
         turn = np.float64(pixel_seed(np.int64(left + x), np.int64(low + y), np.int64(0))) / 2.0**32
         for g in range(own, groups):
             u, v = turn + (g - own) * R2[0], 7.0 * turn + (g - own) * R2[1]
-            seen[g, 0] = x + u - math.floor(u) - 0.5
-            seen[g, 1] = y + v - math.floor(v) - 0.5
+            seen[g, 0] = x + u - math.floor(u)
+            seen[g, 1] = y + v - math.floor(v)
     first[height * width] = groups
     for g in range(groups):
         f.count[g] = max(np.int64(weight[g] * OF_CELL + 0.5), 1)

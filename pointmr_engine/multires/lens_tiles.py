@@ -93,12 +93,13 @@ class LensTiles(TracedTiles):
         # views look at other places of a dither: what they show of a pixel together is all of it
         step = max(SIDE // image.side, 1)
         self.patterns = [thresholds(step * v.column % SIDE, step * v.row % SIDE) for v in image.views]
+        self.shifts = [_shift_of(self.target.shift, v, image.side) for v in image.views]
         self.own = Scratch(self.part)  # of the view that is drawn
         self.own.counters = self.scratch.counters
         self.scratch.entries = Entries(np.empty(n, np.int64), np.empty(0, np.int32))
         self.found = allocate_fragments(n)
-        self.seen = np.empty((0, 2), np.int32)  # the views see a fragment in different subpixels
-        self.shown = np.empty((n, 2), np.int32)
+        self.seen = np.empty((0, 2), np.float32)  # the views see a fragment in different subpixels
+        self.shown = np.empty((n, 2), np.float32)
         self.of_view = np.empty(n, np.int32)
         self.kept, self.turns = np.empty(n, np.int64), np.empty(n, np.uint8)
         self.own_ids = np.empty_like(self.target.ids)  # before fragments merge
@@ -122,7 +123,7 @@ class LensTiles(TracedTiles):
         x, y, width, height = self.left // v, self.low // v, self.width // v, self.height // v
         for k, seen in enumerate(image.views):
             clear(self.part, width, beyond(seen.view))
-            self.part.pattern[:] = self.patterns[k]
+            self.part.pattern[:], self.part.shift[:] = self.patterns[k], self.shifts[k]
             entries = walk(
                 seen.view, hierarchy, seen.camera_from_world, image.spacing / v, (x, y, x + width, y + height),
                 self.own, self.wanted, image.settings.forward.occlusion_culling, max(self.cell // v, 1),
@@ -247,7 +248,7 @@ class LensTiles(TracedTiles):
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
         choose_seen(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
-            np.int64(count), self.largest, self.shown,
+            self.target.shift, np.int64(count), self.largest, self.shown,
         )  # fmt: skip
         chosen = self.kept[:count]
         for old, new in zip(f, self.fragments, strict=True):
@@ -341,3 +342,9 @@ def _unshear(normals: np.ndarray, seen: LensView) -> None:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals[:, 2] += seen.shear_x * normals[:, 0] + seen.shear_y * normals[:, 1]
     normals *= length / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+
+def _shift_of(shift: np.ndarray, view: LensView, side: int) -> np.ndarray:
+    """(2, 16) float32: where a view's own subpixels look in their cells; shift: of the image's (subpixel_places)."""
+    k = side * np.arange(shift.shape[1])
+    return np.stack([shift[0, (k + view.column) & 7], shift[1, (k + view.row) & 7]]) / side

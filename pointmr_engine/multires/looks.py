@@ -35,15 +35,15 @@ def _aim(view, world_from_camera, x, y, rays, i):
 def look_where_seen(view, left, low, world_from_camera, fragments, first, rows, seen, direction, rays):
     """Rays 0..len(rows) towards the fragments first + rows.
 
-    seen (F, 2) int32: of each fragment one of the tile's subpixels that show it, which the ray goes through; empty: it
-    goes through the fragment's middle. left, low: the tile's first subpixel. direction (N, 3) float64 of the camera
-    rays, world space: changed at `rows`.
+    seen (F, 2) float32, subpixels of the tile: of each fragment a place that shows it, which the ray goes through;
+    empty: it goes through the fragment's middle. left, low: the tile's first subpixel. direction (N, 3) float64 of the
+    camera rays, world space: changed at `rows`.
     """
     for i in range(len(rows)):
         k = rows[i]
         f = first + k
         if len(seen) > 0:
-            x, y = ray_through(view, left + seen[f, 0] + 0.5, low + seen[f, 1] + 0.5)
+            x, y = ray_through(view, left + np.float64(seen[f, 0]), low + np.float64(seen[f, 1]))
         else:
             x, y = fragments.position[f, 0], fragments.position[f, 1]
             if view.perspective:
@@ -57,15 +57,16 @@ def look_where_seen(view, left, low, world_from_camera, fragments, first, rows, 
 def look_through_lens(view, lens, left, low, first, rows, shown, direction, rays):
     """`look_where_seen` for a perspective image whose subpixels belong to views from points of the lens.
 
-    lens: lens.LensRays; shown (F, 2) int32: as `seen`.
+    lens: lens.LensRays; shown (F, 2) float32: as `seen`.
     """
     side = np.int64(len(lens.of))
     for i in range(len(rows)):
         k = rows[i]
-        x, y = np.int64(shown[first + k, 0]), np.int64(shown[first + k, 1])
-        n = np.int64(lens.of[y % side, x % side])
-        u = ((left + x) // side + 0.5 - lens.shift[n, 0]) * (side / view.scale_x)
-        v = ((low + y) // side + 0.5 - lens.shift[n, 1]) * (side / view.scale_y)
+        x, y = np.float64(shown[first + k, 0]), np.float64(shown[first + k, 1])
+        column, row = np.int64(x) % side, np.int64(y) % side
+        n = np.int64(lens.of[row, column])
+        u = ((left + x - column - 0.5) / side + 0.5 - lens.shift[n, 0]) * (side / view.scale_x)
+        v = ((low + y - row - 0.5) / side + 0.5 - lens.shift[n, 1]) * (side / view.scale_y)
         _aim(view, lens.world_from_camera[n], u, v, rays, i)
         for r in range(3):
             direction[k, r] = rays.direction[i, r]

@@ -96,10 +96,10 @@ def renumber(ids, width, height, into):
 
 
 @uncounted
-def choose_seen(ids, width, height, left, low, count, times, seen):
-    """seen (F, 2) int32: one of the subpixels that show each fragment 0..count of a tile, by a hash of its place.
+def choose_seen(ids, width, height, left, low, shift, count, times, seen):
+    """seen (F, 2) float32: where in the tile one of the subpixels that show each fragment 0..count looks, by a hash.
 
-    times (F,) int32 to work in; left, low: the tile's first subpixel in the image.
+    shift: of subpixels.Target; times (F,) int32 to work in; left, low: the tile's first subpixel in the image.
     """
     for k in range(count):
         times[k] = 0
@@ -111,7 +111,8 @@ def choose_seen(ids, width, height, left, low, count, times, seen):
             times[k] += 1
             h = pixel_seed(np.int64(left + x), np.int64(low + y), np.int64(0))
             if np.int64(h) * np.int64(times[k]) < np.int64(1) << 32:
-                seen[k, 0], seen[k, 1] = x, y
+                half = np.float32(0.5)
+                seen[k, 0], seen[k, 1] = x + half + shift[1, y & 7], y + half + shift[0, x & 7]
 
 
 @uncounted

@@ -137,7 +137,7 @@ class TracedTiles(Workspace):
         super().__init__(image)
         n = len(self.fragments.entry)
         self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
-        self.seen = np.empty((n, 2), np.int32)
+        self.seen = np.empty((n, 2), np.float32)
         # of all fragments, of which there are `all`, the one that each has its light from
         self.stands, self.all = np.empty(n, np.int32), 0
         # in parts of the light of those that are shaded; None: not asked for
@@ -192,7 +192,7 @@ class TracedTiles(Workspace):
         shaded = self._stand_in(hierarchy, merged)
         choose_seen(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
-            np.int64(merged), self.largest, self.seen,
+            self.target.shift, np.int64(merged), self.largest, self.seen,
         )  # fmt: skip
         return shaded
 

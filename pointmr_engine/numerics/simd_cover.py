@@ -45,6 +45,11 @@ def _ramp(builder, start, step):
     return _muladd(builder, lanes, _splat(builder, step), _splat(builder, start))
 
 
+def _shifts(builder, address):
+    """Eight float32 at an address."""
+    return _load(builder, builder.inttoptr(address, _f32.as_pointer()), ir.Constant(_i64, 0))
+
+
 def _write(builder, depth, ids, offset, inside, nearness, entry):
     """Write nearness and entry at eight subpixels where `inside` is set and they are nearer; mask of those written."""
     depths = builder.inttoptr(depth, _f32.as_pointer())
@@ -85,47 +90,68 @@ def cover_eight(typingctx, depth, ids, offset, count, nearness, slope, entry, th
 
 @intrinsic
 def cover_eight_within(
-    typingctx, depth, ids, offset, shift, reach, nearness, slope, entry, threshold, opacity
+    typingctx, depth, ids, offset, shifts, x, y, lean, spread, inverse, plane, entry, threshold, opacity
 ):
-    """As cover_eight, at those of eight subpixels k = 0 .. 7 with (shift + k)^2 <= reach (float32)."""
-    f, i = types.float32, types.int64
+    """As cover_eight, at those of eight subpixels that an ellipse holds: (x - lean y)^2 <= spread (1 - inverse y^2).
+
+    shifts: address of eight float32, which are added to each one's y. x, y: of the first from the ellipse's middle,
+    x growing by 1 from one to the next. plane: three float32, nearness in the middle and its growth along x and y.
+    """
+    f, i, u = types.float32, types.int64, types.uint64
 
     def codegen(context, builder, signature, args):
-        limits = builder.inttoptr(args[8], _f32.as_pointer())
+        limits = builder.inttoptr(args[11], _f32.as_pointer())
         drawn = builder.fcmp_ordered(
-            "<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[9])
+            "<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[12])
         )
-        away = builder.fadd(ir.Constant(_vector, [float(k) for k in range(WIDTH)]), _splat(builder, args[3]))
-        within = builder.fcmp_ordered("<=", builder.fmul(away, away), _splat(builder, args[4]))
-        return _write(
-            builder, args[0], args[1], args[2], builder.and_(within, drawn),
-            _ramp(builder, args[5], args[6]), args[7],
-        )  # fmt: skip
+        at_x = _ramp(builder, args[4], ir.Constant(_f32, 1.0))
+        at_y = builder.fadd(_shifts(builder, args[3]), _splat(builder, args[5]))
+        lean, spread, inverse = (_splat(builder, args[k]) for k in (6, 7, 8))
+        away = builder.fsub(at_x, builder.fmul(lean, at_y))
+        reach = builder.fsub(spread, builder.fmul(builder.fmul(spread, inverse), builder.fmul(at_y, at_y)))
+        within = builder.fcmp_ordered("<=", builder.fmul(away, away), reach)
+        nearness, along, up = (_splat(builder, builder.extract_value(args[9], k)) for k in range(3))
+        nearness = _muladd(builder, up, at_y, _muladd(builder, along, at_x, nearness))
+        return _write(builder, args[0], args[1], args[2], builder.and_(within, drawn), nearness, args[10])
 
-    return types.int64(types.uint64, types.uint64, i, f, f, f, f, i, types.uint64, f), codegen
+    return i(u, u, i, u, f, f, f, f, f, types.UniTuple(f, 3), i, u, f), codegen
 
 
 @intrinsic
-def cover_eight_between(
-    typingctx, depth, ids, offset, centre, left, right, nearness, slope, least, most, entry
-):
-    """As cover_eight, at those of eight subpixels k = 0 .. 7 with left <= centre + k < right (float32).
+def cover_eight_between(typingctx, depth, ids, offset, shifts, x, y, corners, edges, plane, bounds, entry):
+    """As cover_eight, at those of eight subpixels that a triangle holds (float32 all).
 
-    least, most: float32 bounds that nearness is kept between.
+    shifts: address of eight float32, which are added to each one's y. x, y: of the first, x growing by 1 from one to
+    the next. corners: y of the lowest, the middle and the highest one, a <= y < c being inside. edges: (x at y, its
+    growth along y) of a to c, of a to b, which counts below b, and of b to c, which counts from there on; inside is
+    what lies right of one, or on it, and left of the other. plane: nearness of the first at y, its growth along x and
+    along y; bounds: what it is kept between.
     """
-    f, i = types.float32, types.int64
+    f, i, u = types.float32, types.int64, types.uint64
 
     def codegen(context, builder, signature, args):
-        at = builder.fadd(ir.Constant(_vector, [float(k) for k in range(WIDTH)]), _splat(builder, args[3]))
-        inside = builder.and_(
-            builder.fcmp_ordered(">=", at, _splat(builder, args[4])),
-            builder.fcmp_ordered("<", at, _splat(builder, args[5])),
-        )
-        value = _larger(builder, _ramp(builder, args[6], args[7]), _splat(builder, args[8]))
-        value = _smaller(builder, value, _splat(builder, args[9]))
-        return _write(builder, args[0], args[1], args[2], inside, value, args[10])
+        def part(k, n):
+            return _splat(builder, builder.extract_value(args[k], n))
 
-    return types.int64(types.uint64, types.uint64, i, f, f, f, f, f, f, f, i), codegen
+        shift = _shifts(builder, args[3])
+        at_x = _ramp(builder, args[4], ir.Constant(_f32, 1.0))
+        at_y = builder.fadd(shift, _splat(builder, args[5]))
+        whole, lower, upper = (_muladd(builder, shift, part(7, k + 1), part(7, k)) for k in (0, 2, 4))
+        other = builder.select(builder.fcmp_ordered("<", at_y, part(6, 1)), lower, upper)
+        inside = builder.fcmp_ordered(">=", at_x, _smaller(builder, whole, other))
+        for test in (
+            builder.fcmp_ordered("<", at_x, _larger(builder, whole, other)),
+            builder.fcmp_ordered(">=", at_y, part(6, 0)),
+            builder.fcmp_ordered("<", at_y, part(6, 2)),
+        ):
+            inside = builder.and_(inside, test)
+        nearness = _ramp(builder, builder.extract_value(args[8], 0), builder.extract_value(args[8], 1))
+        nearness = _larger(builder, _muladd(builder, shift, part(8, 2), nearness), part(9, 0))
+        nearness = _smaller(builder, nearness, part(9, 1))
+        return _write(builder, args[0], args[1], args[2], inside, nearness, args[10])
+
+    three = types.UniTuple(f, 3)
+    return i(u, u, i, u, f, f, three, types.UniTuple(f, 6), three, types.UniTuple(f, 2), i), codegen
 
 
 @intrinsic

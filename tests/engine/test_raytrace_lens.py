@@ -155,12 +155,13 @@ def test_unfiltered_passes_come_from_the_middle_of_the_lens():
 
 @pytest.mark.parametrize("side", [2, 4])
 def test_looks_through_the_lens_meet_in_the_plane_in_focus(side):
-    """A subpixel's ray leaves its view's lens point for the place in focus that the pinhole sees there."""
+    """A place's ray leaves its view's lens point for the place in focus that the pinhole sees there."""
     focus = 3.0
     camera, view = compiled(fstop=0.2, focus_distance=focus)
     views = make_views(camera, view, 8, side)
     y, x = (a.ravel() for a in np.indices((8, 8)))
-    shown, rays, direction = np.stack([x, y], 1).astype(np.int32), allocate_rays(64), np.zeros((64, 3))
+    shown = np.stack([x, y], 1) + np.random.default_rng(side).uniform(0.06, 0.94, (64, 2))
+    rays, direction = allocate_rays(64), np.zeros((64, 3))
     left, low = 16, 40
     look_through_lens(
         view,
@@ -184,8 +185,8 @@ def test_looks_through_the_lens_meet_in_the_plane_in_focus(side):
     )
     assert at_lens[:, :2] == pytest.approx(points[of[y, x].argmax(-1)], abs=1e-9)
     in_focus = origin + along * ((focus - origin[:, 2:]) / along[:, 2:])
-    seen_x = (left + x + 0.5 - view.shift_x) / view.scale_x * focus
-    seen_y = (low + y + 0.5 - view.shift_y) / view.scale_y * focus
+    seen_x = (left + shown[:, 0] - view.shift_x) / view.scale_x * focus
+    seen_y = (low + shown[:, 1] - view.shift_y) / view.scale_y * focus
     assert in_focus[:, :2] == pytest.approx(np.stack([seen_x, seen_y], 1), abs=1e-9)
 
 

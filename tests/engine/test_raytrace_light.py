@@ -30,6 +30,7 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.settings import RaytraceSettings
 from tests.engine.small_scenes import from_above, lit_floor, quad
 
+PLACES = np.zeros((2, 16), np.float32)
 DARK = uniform_world((0.0, 0.0, 0.0))
 SUN = Light("SUN", look((-2, -3, 7), (0, 0, 0)), power=4.5, angle=0.0)
 
@@ -66,19 +67,23 @@ def test_suns_on_far_foliage_bring_as_much_as_in_the_exact_image(angle):
 def test_the_subpixel_that_stands_for_a_fragment_shows_it(count, left, low):
     rng = np.random.default_rng(count)
     ids = rng.integers(-1, count, (12, 16)).astype(np.int32)
-    seen, times = np.full((count, 2), -1, np.int32), np.empty(count, np.int32)
-    choose_seen(ids, np.int64(16), np.int64(12), np.int64(left), np.int64(low), np.int64(count), times, seen)
+    seen, times = np.full((count, 2), -1, np.float32), np.empty(count, np.int32)
+    choose_seen(
+        ids, np.int64(16), np.int64(12), np.int64(left), np.int64(low), PLACES, np.int64(count), times, seen
+    )
     for k in range(count):
         if (ids == k).any():
-            assert ids[seen[k, 1], seen[k, 0]] == k
+            assert ids[int(seen[k, 1]), int(seen[k, 0])] == k
 
 
 def test_all_subpixels_of_a_fragment_may_stand_for_it():
     ids, chosen = np.zeros((4, 4), np.int32), np.zeros((4, 4))
-    seen, times = np.empty((1, 2), np.int32), np.empty(1, np.int32)
+    seen, times = np.empty((1, 2), np.float32), np.empty(1, np.int32)
     for left in range(0, 8000, 4):
-        choose_seen(ids, np.int64(4), np.int64(4), np.int64(left), np.int64(0), np.int64(1), times, seen)
-        chosen[seen[0, 1], seen[0, 0]] += 1
+        choose_seen(
+            ids, np.int64(4), np.int64(4), np.int64(left), np.int64(0), PLACES, np.int64(1), times, seen
+        )
+        chosen[int(seen[0, 1]), int(seen[0, 0])] += 1
     assert abs(chosen - 125.0).max() < 5.0 * math.sqrt(125.0)
 
 
