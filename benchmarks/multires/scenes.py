@@ -38,7 +38,9 @@ SUBJECTS: dict[str, Subject] = {
     "forest_cut": Subject(
         "its trees within 250 m", 20.0, build=builders.forest_cut, files=("own:forest_1e15.blend",)
     ),
-    "gn_trees": Subject("45,839 instances by geometry nodes, leaves cut out by alpha", 4.0),
+    "gn_trees": Subject(
+        "45,839 instances by geometry nodes, leaves cut out by alpha; without subsurface scattering", 4.0
+    ),
     "dragon_near": Subject(
         "871,414 triangles, a few a pixel", 0.5, build=builders.dragon_near, files=(builders.DRAGON,)
     ),
@@ -75,6 +77,7 @@ def source(name: str) -> Source:
     subject = SUBJECTS[name]
     if name in _DRIVERS:
         found = real.source(_DRIVERS[name])
+        found = variants.on_surfaces(found) if name == "gn_trees" else found
         return Source(name, found.load, found.content, SIZE, found.overrides, "multires")
     if subject.build is None:
         return find(str(OWN / f"{name}.blend"))

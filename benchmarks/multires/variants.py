@@ -30,6 +30,21 @@ def variant(source: Source, kind: str) -> Source:
     return replace(source, name=f"{source.name}:{kind}", load=load, content=text_hash(source.content, kind))
 
 
+def on_surfaces(source: Source) -> Source:
+    """The scene without light that goes below surfaces: the engine has it as diffuse reflection, Cycles follows it."""
+
+    def load() -> None:
+        import bpy
+
+        source.load()
+        for material in bpy.data.materials:
+            for node in material.node_tree.nodes if material.node_tree else ():
+                if node.bl_idname == "ShaderNodeBsdfPrincipled":
+                    node.inputs["Subsurface Weight"].default_value = 0.0
+
+    return replace(source, load=load, content=text_hash(source.content, "on surfaces"))
+
+
 def blacken() -> None:
     """Every material is black; lamps are gone."""
     shine(0.0)
