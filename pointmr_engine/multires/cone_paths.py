@@ -70,6 +70,10 @@ class ConePaths(WideLamps):
     def waiting_cones(self):
         return self.lobe_cones
 
+    def at_points(self, now, n: int, bounce: int) -> np.ndarray | None:
+        """What is weak behind a first surface: its noise weighs less than means cost."""
+        return now.throughput[:n].max(1) < STRONG if bounce else None
+
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:
             self.flat[:n] = 1.0

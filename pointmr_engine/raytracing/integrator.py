@@ -130,7 +130,7 @@ class Workspace:
         fill_view(now.rays, state.kind, surface, self.view, n)
         stage.shader.lobes_at(
             now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes,
-            self.texture_slopes if bounce == 0 else None,
+            self.texture_slopes if bounce == 0 else None, self.at_points(now, n, bounce),
         )  # fmt: skip
         self.shaded(now, n, bounce)
         self.counters["shaded_points"] += int(alive.sum())
@@ -146,6 +146,10 @@ class Workspace:
             self._direct_light(now, n, alive, bounce)
         self.scatter(now, n, alive, bounce)
         return self.move(now, then, n, alive)
+
+    def at_points(self, now, n: int, bounce: int) -> np.ndarray | None:
+        """(n,) bool: paths that see textures at a point of their footprints (Shader.lobes_at); None: none do."""
+        return None
 
     def shaded(self, now, n: int, bounce: int) -> None:
         """The lobes of n paths are filled: a place for methods that know more of the surfaces than a ray does."""

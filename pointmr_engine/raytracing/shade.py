@@ -124,9 +124,11 @@ class Shader:
         order,
         out: Lobes,
         slopes: TextureSlopes | None = None,
+        at_points=None,
     ):
         """Fill the lobes of the wanted rows (n,) bool of 0..n; all others are emptied. slopes: of these rows, where
-        textures change across footprints; what was known of others stays.
+        textures change across footprints; what was known of others stays. at_points (n,) bool: rows that see
+        textures at a point, not averaged over their footprints; None: none do.
         """
         lobe_kernels.reset(out, View(*(a[:n] for a in view)))
         start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
@@ -135,7 +137,7 @@ class Shader:
             if not len(rows):
                 continue
             points = self._gather(rays, hits, frames, rows, program.needs, state, m)
-            means = self._means(program, rays, hits, frames, view, rows, state, m)
+            means = self._means(program, rays, hits, frames, view, rows, state, m, at_points)
             values = program.values(points)
             leaves = program.fill_leaves(values, means.values)
             if slopes is not None and means.slopes is not None:
@@ -145,16 +147,17 @@ class Shader:
             if means.variance is not None:
                 widen_lobes(out, means.rows, means.variance)
 
-    def _means(self, program: Program, rays, hits, frames, view, rows, state, material) -> Means:
+    def _means(self, program: Program, rays, hits, frames, view, rows, state, material, at_points) -> Means:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
-        normals, and images where it is seen obliquely.
+        normals, and images where it is seen obliquely. at_points: see lobes_at.
         """
         if not (program.fine_needs or program.normal_needs or program.image_needs):
             return NO_MEANS
-        seen = np.flatnonzero(
-            ((state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0)
-            & ((state.width[rows] > 0) | (state.spread[rows] > 0))
-        )
+        seen = (state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0
+        seen &= (state.width[rows] > 0) | (state.spread[rows] > 0)
+        if at_points is not None:
+            seen &= ~at_points[rows]
+        seen = np.flatnonzero(seen)
         if not len(seen):
             return NO_MEANS
 
