@@ -23,7 +23,8 @@ class Subject:
 
     about: what it tries, in a few words. reach: metres that the camera travels forward in benchmarks.multires.path.
     reference: the method whose converged image is the truth. build: a builder, or None where another driver has it.
-    files: what the builder reads, of scenes_blend/ ("own:...") or of POINTMR_SCENES.
+    files: what the builder reads, of scenes_blend/ ("own:...") or of POINTMR_SCENES. change: what another driver's
+    scene goes without, for all renderers alike.
     """
 
     about: str
@@ -31,6 +32,7 @@ class Subject:
     reference: str = "cycles"
     build: Callable[[], None] | None = None
     files: tuple[str, ...] = ()
+    change: Callable[[Source], Source] | None = None
 
 
 SUBJECTS: dict[str, Subject] = {
@@ -39,7 +41,9 @@ SUBJECTS: dict[str, Subject] = {
         "its trees within 250 m", 20.0, build=builders.forest_cut, files=("own:forest_1e15.blend",)
     ),
     "gn_trees": Subject(
-        "45,839 instances by geometry nodes, leaves cut out by alpha; without subsurface scattering", 4.0
+        "45,839 instances by geometry nodes, leaves cut out by alpha; without subsurface scattering",
+        4.0,
+        change=variants.on_surfaces,
     ),
     "dragon_near": Subject(
         "871,414 triangles, a few a pixel", 0.5, build=builders.dragon_near, files=(builders.DRAGON,)
@@ -77,7 +81,7 @@ def source(name: str) -> Source:
     subject = SUBJECTS[name]
     if name in _DRIVERS:
         found = real.source(_DRIVERS[name])
-        found = variants.on_surfaces(found) if name == "gn_trees" else found
+        found = found if subject.change is None else subject.change(found)
         return Source(name, found.load, found.content, SIZE, found.overrides, "multires")
     if subject.build is None:
         return find(str(OWN / f"{name}.blend"))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.opacity_lattice import sample_place
-from pointmr_engine.forward.subpixel_places import INNER
+from pointmr_engine.forward.subpixel_places import INNER, place_of
 from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 
@@ -78,7 +78,7 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
         for i in range(x0, x1 + 1):
             if i == x0 or i & 7 == 0:
                 row, turn_x, turn_y = _order_at(key, i, j, area > 0.0)
-            xc, yc = i + 0.5 + target.shift[1, j & 7], j + 0.5 + target.shift[0, i & 7]
+            xc, yc = place_of(target.shift, i, j)
             b1 = ((xc - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (yc - y[0])) * inverse
             b2 = ((x[1] - x[0]) * (yc - y[0]) - (xc - x[0]) * (y[1] - y[0])) * inverse
             if b1 < -EDGE or b2 < -EDGE or b1 + b2 > 1.0 + EDGE:

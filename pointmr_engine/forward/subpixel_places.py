@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH
 
 # of a row's x and of a column's y, in eighths of a subpixel: the pair with the least sum of the RMS error over all
@@ -32,3 +33,9 @@ def subpixel_places(subpixels: int) -> np.ndarray:
         rank = np.argsort(np.argsort(order[:period]))
         shift[axis] = np.tile((rank + 0.5) / period - 0.5, WIDTH // period)
     return np.ascontiguousarray(np.tile(shift, (1, 2)), np.float32)
+
+
+@device
+def place_of(shift, i, j):
+    """(x, y) that subpixel (i, j) looks at. shift: as of subpixel_places."""
+    return i + 0.5 + shift[1, j & 7], j + 0.5 + shift[0, i & 7]

@@ -52,9 +52,7 @@ class Target(NamedTuple):
     stale: np.ndarray  # the same, uint8: something was drawn since `farthest` was taken
     address: np.ndarray  # (4,) uint64: of depth, ids, pattern, shift
     pattern: np.ndarray  # (64, 16) float32: thresholds of eight ordered dithers, each twice side by side
-    shift: (
-        np.ndarray
-    )  # (2, 16) float32: (i, j) looks at (i + 0.5 + shift[1, j & 7], j + 0.5 + shift[0, i & 7])
+    shift: np.ndarray  # (2, 16) float32: what subpixel_places.place_of adds to the middles of subpixels
 
 
 def make_view(camera: CameraArrays, subpixels: int, depth_range: tuple[float, float]) -> View:
@@ -148,7 +146,7 @@ def cover_run(target, y, first, last, nearness, slope, entry, opacity, phase):
 def cover_ellipse(target, width, height, x, y, a, b, c, nearness, slope_x, slope_y, entry, opacity, phase):
     """Draw the ellipse d^T [[a, b], [b, c]]^-1 d <= 1 about (x, y); returns whether anything was written.
 
-    slope_*: growth of nearness per subpixel.
+    Subpixels are covered whose places are inside. slope_*: growth of nearness per subpixel.
     """
     f, half, one, inner = np.float32, np.float32(0.5), np.float32(1), np.float32(INNER)
     x, y, nearness, slope_x, slope_y = f(x), f(y), f(nearness), f(slope_x), f(slope_y)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.forward.fragments import Fragments
+from pointmr_engine.forward.subpixel_places import place_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 
@@ -111,8 +112,7 @@ def choose_seen(ids, width, height, left, low, shift, count, times, seen):
             times[k] += 1
             h = pixel_seed(np.int64(left + x), np.int64(low + y), np.int64(0))
             if np.int64(h) * np.int64(times[k]) < np.int64(1) << 32:
-                half = np.float32(0.5)
-                seen[k, 0], seen[k, 1] = x + half + shift[1, y & 7], y + half + shift[0, x & 7]
+                seen[k, 0], seen[k, 1] = place_of(shift, x, y)
 
 
 @uncounted

@@ -45,7 +45,7 @@ def _ramp(builder, start, step):
     return _muladd(builder, lanes, _splat(builder, step), _splat(builder, start))
 
 
-def _shifts(builder, address):
+def _eight_at(builder, address):
     """Eight float32 at an address."""
     return _load(builder, builder.inttoptr(address, _f32.as_pointer()), ir.Constant(_i64, 0))
 
@@ -78,10 +78,7 @@ def cover_eight(typingctx, depth, ids, offset, count, nearness, slope, entry, th
     f, i = types.float32, types.int64
 
     def codegen(context, builder, signature, args):
-        limits = builder.inttoptr(args[7], _f32.as_pointer())
-        drawn = builder.fcmp_ordered(
-            "<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[8])
-        )
+        drawn = builder.fcmp_ordered("<", _eight_at(builder, args[7]), _splat(builder, args[8]))
         inside = builder.and_(_first(builder, args[3]), drawn)
         return _write(builder, args[0], args[1], args[2], inside, _ramp(builder, args[4], args[5]), args[6])
 
@@ -100,12 +97,9 @@ def cover_eight_within(
     f, i, u = types.float32, types.int64, types.uint64
 
     def codegen(context, builder, signature, args):
-        limits = builder.inttoptr(args[11], _f32.as_pointer())
-        drawn = builder.fcmp_ordered(
-            "<", _load(builder, limits, ir.Constant(_i64, 0)), _splat(builder, args[12])
-        )
+        drawn = builder.fcmp_ordered("<", _eight_at(builder, args[11]), _splat(builder, args[12]))
         at_x = _ramp(builder, args[4], ir.Constant(_f32, 1.0))
-        at_y = builder.fadd(_shifts(builder, args[3]), _splat(builder, args[5]))
+        at_y = builder.fadd(_eight_at(builder, args[3]), _splat(builder, args[5]))
         lean, spread, inverse = (_splat(builder, args[k]) for k in (6, 7, 8))
         away = builder.fsub(at_x, builder.fmul(lean, at_y))
         reach = builder.fsub(spread, builder.fmul(builder.fmul(spread, inverse), builder.fmul(at_y, at_y)))
@@ -133,7 +127,7 @@ def cover_eight_between(typingctx, depth, ids, offset, shifts, x, y, corners, ed
         def part(k, n):
             return _splat(builder, builder.extract_value(args[k], n))
 
-        shift = _shifts(builder, args[3])
+        shift = _eight_at(builder, args[3])
         at_x = _ramp(builder, args[4], ir.Constant(_f32, 1.0))
         at_y = builder.fadd(shift, _splat(builder, args[5]))
         whole, lower, upper = (_muladd(builder, shift, part(7, k + 1), part(7, k)) for k in (0, 2, 4))

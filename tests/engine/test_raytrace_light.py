@@ -21,6 +21,7 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
+from pointmr_engine.forward.subpixel_places import subpixel_places
 from pointmr_engine.multires.lobe_rays import MOST, rays_of
 from pointmr_engine.multires.lobe_view import lobe_pdf
 from pointmr_engine.multires.merge import choose_seen
@@ -30,7 +31,7 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.settings import RaytraceSettings
 from tests.engine.small_scenes import from_above, lit_floor, quad
 
-PLACES = np.zeros((2, 16), np.float32)
+PLACES = subpixel_places(8)
 DARK = uniform_world((0.0, 0.0, 0.0))
 SUN = Light("SUN", look((-2, -3, 7), (0, 0, 0)), power=4.5, angle=0.0)
 
@@ -73,7 +74,9 @@ def test_the_subpixel_that_stands_for_a_fragment_shows_it(count, left, low):
     )
     for k in range(count):
         if (ids == k).any():
-            assert ids[int(seen[k, 1]), int(seen[k, 0])] == k
+            x, y = int(seen[k, 0]), int(seen[k, 1])
+            assert ids[y, x] == k
+            assert seen[k].tolist() == [x + 0.5 + PLACES[1, y & 7], y + 0.5 + PLACES[0, x & 7]]
 
 
 def test_all_subpixels_of_a_fragment_may_stand_for_it():

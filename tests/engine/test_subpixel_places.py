@@ -35,7 +35,7 @@ def draw_cut_out(target, width, height, x, y, w, entry, opacity):
 def draw_ellipse(target, width, height, x, y, a, b, c, entry):
     return cover_ellipse(
         target, width, height, x, y, a, b, c, 1.0, 0.0, 0.0, entry, np.float32(WHOLE), np.int64(0)
-    )  # fmt: skip
+    )
 
 
 def empty(subpixels=8):
@@ -176,7 +176,7 @@ def test_ellipses_cover_the_places_that_they_hold(x, y, long, short, angle):
 def test_a_level_wire_thinner_than_a_subpixel_covers_what_it_covers(offset, thick):
     """Wherever it lies between the lines of subpixels: not eight of a pixel's at once, or none."""
     target, low = empty(), 16.0 + 8.0 * offset
-    x, y = np.array([0.0, SIDE, SIDE, 0.0]), np.array([low, low, low + 8 * thick / 8, low + 8 * thick / 8])
+    x, y = np.array([0.0, SIDE, SIDE, 0.0]), np.array([low, low, low + thick, low + thick])
     for k in range(2):
         corners = [0, 1, 2] if k == 0 else [0, 2, 3]
         draw_triangle(target, np.int64(SIDE), np.int64(SIDE), x[corners], y[corners], np.ones(3), np.int64(k))
