@@ -4,7 +4,8 @@ A box is sampled as a whole where its density can be one number: where (z_max / 
 it expects more than `kept` points, and it looks no larger than what culling needs; or where it is smaller than a
 fraction of a pixel (talk: "Depth Approximation"). Else its own triangles are drawn as they are, instances continue in
 their group's octree, and the walk goes to its children.
-Boxes come nearest first; those outside the tile, and those behind what is drawn already, are left out.
+Boxes come nearest first; those outside the tile, and those behind what is drawn already, are left out. So are points of
+placements inside a box: the way down to their triangle ends where they cannot be seen, long before the last level.
 Time O(log tau + h + a log a log n): tau the relative depth range, h the octrees' height, a the surface in pixels.
 """
 
@@ -49,7 +50,17 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import pointer_f64
 
 TRIANGLES, INSTANCES, BOXES = 5, 6, 7
-COUNTERS = ("nodes", "outside", "hidden", "points_drawn", "points", "triangles", "instances", "boxes")
+COUNTERS = (
+    "nodes",
+    "outside",
+    "hidden",
+    "points_drawn",
+    "points",
+    "triangles",
+    "instances",
+    "boxes",
+    "points_ended",
+)
 
 
 class PointScratch(Scratch):
@@ -193,7 +204,7 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
             before = used[0]
             status = draw_box(
                 view, target, width, height, left, low, world, how, pen, transforms, placed, row,
-                first, end, expected, hash_path(placed.key[row], node), entries, used, counters,
+                first, end, expected, hash_path(placed.key[row], node), entries, used, culling, counters,
             )  # fmt: skip
             if status < 0:
                 return ENTRIES_FULL if status == NO_ENTRY else TRANSFORMS_FULL

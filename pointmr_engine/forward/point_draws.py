@@ -15,16 +15,30 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.forward.box_heap import bound_in_tile, is_behind
 from pointmr_engine.forward.cut_out_cover import cut_out_of, opacity_at
 from pointmr_engine.forward.draw import plane_of, to_target, triangle_to_camera
 from pointmr_engine.forward.subpixels import cover_ellipse, cover_run
-from pointmr_engine.hierarchy.distribution import BELOW_ONE, Chain, allocate_chain, draw, uniform
+from pointmr_engine.forward.transforms import box_to_camera
+from pointmr_engine.hierarchy.distribution import (
+    BELOW_ONE,
+    NEW,
+    TRIANGLE,
+    Chain,
+    allocate_chain,
+    place,
+    step,
+    uniform,
+)
 from pointmr_engine.numerics.hashing import hash_path
 from pointmr_engine.numerics.jit import device
 
+CULLED = 128.0  # subpixels: placements whose bounds are no larger are left out where they are hidden
 STEEP = 4.0  # depth over width of the steepest disc: triangles seen edge-on would reach to the eye
 NO_ENTRY, NO_ROW = -1, -2  # of draw_box: what ran out
-DRAWN, POINTS = 3, 4  # counters: points drawn; and those that were the nearest so far
+INSIDE, ACROSS, OUTSIDE = 0, 1, 2  # of a placement in a tile
+# counters: points drawn; those that were the nearest so far; those that ended above a placement which cannot be seen
+DRAWN, POINTS, UNSEEN = 3, 4, 8
 _OPACITY = np.int64(1 << 40)  # number of the random number that decides about transparency
 
 
@@ -73,12 +87,21 @@ class Pen(NamedTuple):
     chain: Chain
     weights: np.ndarray  # (2,) float64
     rows: np.ndarray  # (L,) int64 of the transforms, of the placements that the last point lies in
+    bounds: (
+        np.ndarray
+    )  # (L, 5) float64 of these placements: x0, y0, x1, y1 subpixels of the tile; least depth
+    outcome: np.ndarray  # (L,) int64: INSIDE, ACROSS or OUTSIDE, where these bounds lie
+    box: np.ndarray  # (6,) float64
     corners: np.ndarray  # (3, 3) float64
 
 
 def allocate_pen(levels: int) -> Pen:
     """Working memory for groups nested `levels` deep."""
-    return Pen(allocate_chain(levels), np.empty(2), np.empty(levels + 2, np.int64), np.empty((3, 3)))
+    n = levels + 2
+    return Pen(
+        allocate_chain(levels), np.empty(2), np.empty(n, np.int64), np.empty((n, 5)), np.empty(n, np.int64),
+        np.empty(6), np.empty((3, 3)),
+    )  # fmt: skip
 
 
 @device
@@ -142,13 +165,55 @@ def _row_of(pen, octree, instances, transforms, row, level, known, used):
 
 
 @device
+def _bound(view, octree, pen, level, left, low, width, height, radius, culling):
+    """Note where the placement of a level of the chain lies in the tile, discs about its points included."""
+    box_to_camera(
+        pen.chain.matrix, level, octree.box, np.int64(octree.group_root[pen.chain.group[level]]), pen.box
+    )
+    b = pen.bounds[level]
+    if not bound_in_tile(
+        view, pen.box, 0.0, left - radius, low - radius, width + 2.0 * radius, height + 2.0 * radius, b
+    ):
+        pen.outcome[level] = OUTSIDE
+        return
+    for k in range(4):
+        b[k] -= radius
+    b[4] = pen.box[2]
+    inside = b[0] >= 0.0 and b[1] >= 0.0 and b[2] < width and b[3] < height
+    # points beside the tile are never hidden, for their discs may reach into it
+    pen.outcome[level] = INSIDE if culling and inside and (b[2] - b[0]) * (b[3] - b[1]) <= CULLED else ACROSS
+
+
+@device
+def _descend(view, target, width, height, left, low, world, how, pen, u, key, culling, counters):
+    """As distribution.draw, but a draw ends (-1) where the placement that it enters cannot be seen."""
+    octree, chain = world.octree, pen.chain
+    level, share = np.int64(0), 1.0
+    while True:
+        met, u, share = step(octree, world.distribution, world.instances, level, u, share, key, chain)
+        if met == TRIANGLE:
+            break
+        level += 1
+        if met == NEW:
+            _bound(view, octree, pen, level, left, low, width, height, how.radius, culling)
+        b, unseen = pen.bounds[level], pen.outcome[level] == OUTSIDE
+        if pen.outcome[level] == INSIDE:
+            unseen = is_behind(view, target, width, height, b[0], b[1], b[2], b[3], b[4])
+        if unseen:
+            counters[UNSEEN] += 1
+            return np.int64(-1)
+    return level if place(octree, world.parts, level, u, key, chain, pen.weights) else np.int64(-1)
+
+
+@device
 def draw_box(
     view, target, width, height, left, low, world, how, pen, transforms, placed, row, first, end, expected, key,
-    entries, used, counters,
+    entries, used, culling, counters,
 ):  # fmt: skip
     """Draw the points of a node, the items first..end, of which so many are expected.
 
-    key: uint64 of the node in its placement. used (K,) int64: entries and rows of the transforms, both advanced.
+    key: uint64 of the node in its placement; culling: as of sample_tile. used (K,) int64: entries and rows of the
+    transforms, both advanced.
     Returns NO_ENTRY or NO_ROW where there is no more room, else 0.
     """
     octree, chain, weights = world.octree, pen.chain, pen.weights
@@ -158,7 +223,7 @@ def draw_box(
     chain.group[0] = transforms.group[row]
     chain.scale[0] = placed.area[row]
     chain.uniform[0] = placed.even[row]
-    chain.item[0] = -1
+    chain.item[0], chain.items[0, 0], chain.items[0, 1] = -1, first, end
     inverse = 1.0 / expected
     spread = hash_path(key, np.int64(-2))
     number, at, known = np.int64(-1), 0.0, np.int64(0)
@@ -173,10 +238,10 @@ def draw_box(
             return np.int64(0)
         counters[DRAWN] += 1
         random = hash_path(spread, number)
-        level = draw(
-            octree, world.distribution, world.parts, world.instances, first, end,
-            min(at * inverse, BELOW_ONE), random, chain, weights,
-        )  # fmt: skip
+        u = min(at * inverse, BELOW_ONE)
+        level = _descend(
+            view, target, width, height, left, low, world, how, pen, u, random, culling, counters
+        )
         if level < 0:
             continue
         i = chain.item[level]

@@ -25,6 +25,7 @@ _EXHAUSTED = (
 _QUARTERINGS = 3  # of a triangle: finer than the distance of its points, of which it has a few at most
 _NEAR = 6  # items that are looked at one by one
 BELOW_ONE = 1.0 - 2.0**-53
+TRIANGLE, SAME, NEW = 0, 1, 2  # what a step of a draw has met
 _INV_2_53 = 2.0**-53
 _INV_2_32 = 2.0**-32
 
@@ -45,6 +46,7 @@ class Chain(NamedTuple):
         np.ndarray
     )  # (L, 12) float64: from each level's group (relative to its centre) to the space of the draw
     item: np.ndarray  # (L,) int64: item chosen at each level, the last one a triangle; -1: not yet
+    items: np.ndarray  # (L, 2) int64: first and end of those that each level chooses from
     group: np.ndarray  # (L,) int64
     scale: np.ndarray  # (L,) float64: bound of the area scale of `matrix`
     uniform: np.ndarray  # (L,) bool: it is exact
@@ -134,6 +136,7 @@ def allocate_chain(levels: int) -> Chain:
     chain = Chain(
         np.zeros((levels + 2, 12)),
         np.full(levels + 2, -1, np.int64),
+        np.zeros((levels + 2, 2), np.int64),
         np.zeros(levels + 2, np.int64),
         np.ones(levels + 2),
         np.ones(levels + 2, np.bool_),
@@ -198,58 +201,75 @@ def _place(u, bits, weights):
 
 
 @device
-def draw(octree, distribution, tables, instances, first, end, u, key, chain, weights):
-    """One random surface point of the items first..end of group chain.group[0]; O(levels * log n).
+def step(octree, distribution, instances, level, u, share, key, chain):
+    """Choose one of the items of a level by u in [0, 1), and enter the placement if it is one: the level below is next.
+
+    share: the range of u that one random number has been narrowed to; key: uint64 of the further ones.
+    Returns (TRIANGLE, or SAME or NEW for the placement that the draw before entered or another; u inside it; share).
+    """
+    sums, group = distribution.sums, chain.group[level]
+    shift = distribution.shift[group]
+    first, end = chain.items[level, 0], chain.items[level, 1]
+    low = sums[first + shift]
+    whole = sums[end + shift] - low
+    x = low + u * whole
+    i = find_item(sums, shift, first, end, chain.item[level], x)
+    area = sums[i + 1 + shift] - sums[i + shift]
+    u = min(max((x - sums[i + shift]) / area, 0.0), BELOW_ONE)
+    same = chain.item[level] == i
+    chain.item[level] = i
+    if octree.item[i, 0] >= 0:
+        return TRIANGLE, u, share
+    share *= area / whole
+    if share < _EXHAUSTED:
+        u = uniform(key, level + 1)
+        share = 1.0
+    if same:
+        return SAME, u, share
+    batch, placement, inner = -1 - np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]), level + 1
+    bound, even = area_scale(pointer_f64(instances.transforms[batch]), 12 * placement)
+    chain.scale[inner] = chain.scale[level] * bound
+    chain.uniform[inner] = chain.uniform[level] and even
+    placed = enter(chain.matrix, level, group, octree, instances, batch, placement, inner)
+    root = octree.group_root[placed]
+    chain.group[inner] = placed
+    chain.items[inner, 0], chain.items[inner, 1] = octree.items[root, 0], octree.items[root, 3]
+    chain.item[inner] = -1
+    return NEW, u, share
+
+
+@device
+def place(octree, tables, level, u, key, chain, weights):
+    """A point of the triangle that a level has chosen; False: refused, which keeps the rest uniform in area.
+
+    u in [0, 1), key: as `step` left it. weights (2,) float64: filled with the barycentric weights of vertices 1 and 2.
+    """
+    i = chain.item[level]
+    _place(u, hash_path(key, np.int64(0)), weights)
+    if chain.uniform[level]:
+        return True
+    grown = _area_growth(
+        tables, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]), chain.matrix, level
+    )
+    return uniform(key, np.int64(-2)) * chain.scale[level] < grown
+
+
+@device
+def draw(octree, distribution, tables, instances, u, key, chain, weights):
+    """One random surface point of the items that level 0 of the chain chooses from; O(levels * log n).
 
     octree: OctreeArrays; tables, instances: PartTables and BatchTables; u in [0, 1) picks the item, and further random
     numbers are functions of key (uint64). Level 0 of the chain is the caller's: its matrix decides in which space
     the points are uniform in area, chain.item[0] = -1 before the first draw of a new place. Rising u are found quickly.
-    Fills chain.item, chain.matrix down to the triangle's group, and weights (2,) float64: the barycentric weights
-    of vertices 1 and 2. Returns the level of the triangle, or -1: refused, which keeps the rest uniform.
+    Fills chain.item, chain.matrix down to the triangle's group, and weights (2,) float64: see `place`.
+    Returns the level of the triangle, or -1: refused.
     """
-    sums = distribution.sums
-    group = chain.group[0]
-    level = np.int64(0)
-    width = 1.0
-    while True:
-        shift = distribution.shift[group]
-        low = sums[first + shift]
-        whole = sums[end + shift] - low
-        x = low + u * whole
-        i = find_item(sums, shift, first, end, chain.item[level], x)
-        part = np.int64(octree.item[i, 0])
-        if part >= 0:
-            chain.item[level] = i
-            break
-        area = sums[i + 1 + shift] - sums[i + shift]
-        u = min(max((x - sums[i + shift]) / area, 0.0), BELOW_ONE)
-        width *= area / whole
-        if width < _EXHAUSTED:
-            u = uniform(key, level + 1)
-            width = 1.0
-        if chain.item[level] != i:
-            batch, placement = -1 - part, np.int64(octree.item[i, 1])
-            bound, even = area_scale(pointer_f64(instances.transforms[batch]), 12 * placement)
-            chain.scale[level + 1] = chain.scale[level] * bound
-            chain.uniform[level + 1] = chain.uniform[level] and even
-            chain.group[level + 1] = enter(
-                chain.matrix, level, group, octree, instances, batch, placement, level + 1
-            )
-            chain.item[level] = i
-            chain.item[level + 1] = -1
+    level, share = np.int64(0), 1.0
+    met, u, share = step(octree, distribution, instances, level, u, share, key, chain)
+    while met != TRIANGLE:
         level += 1
-        group = chain.group[level]
-        root = octree.group_root[group]
-        first, end = np.int64(octree.items[root, 0]), np.int64(octree.items[root, 3])
-    whole = sums[i + 1 + shift] - sums[i + shift]
-    _place(min(max((x - sums[i + shift]) / whole, 0.0), BELOW_ONE), hash_path(key, np.int64(0)), weights)
-    if not chain.uniform[level]:
-        grown = _area_growth(
-            tables, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]), chain.matrix, level
-        )
-        if uniform(key, np.int64(-2)) * chain.scale[level] >= grown:
-            return np.int64(-1)
-    return level
+        met, u, share = step(octree, distribution, instances, level, u, share, key, chain)
+    return level if place(octree, tables, level, u, key, chain, weights) else np.int64(-1)
 
 
 @uncounted
@@ -288,7 +308,7 @@ def sorted_uniforms(key, out, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_many(octree, distribution, tables, instances, first, end, us, key, chain, index, weights):
+def _draw_many(octree, distribution, tables, instances, us, key, chain, index, weights):
     """Accepted draws for us (N,): index (N, 3) int64 part, triangle, innermost record or -1; weights (N, 2)."""
     used = 0
     for k in range(len(us)):
@@ -297,8 +317,6 @@ def _draw_many(octree, distribution, tables, instances, first, end, us, key, cha
             distribution,
             tables,
             instances,
-            first,
-            end,
             us[k],
             hash_path(key, np.int64(k)),
             chain,
@@ -326,7 +344,6 @@ def draw_points(
     vertices 1 and 2). Fewer than `count` where transforms scale unevenly. presorted: one sweep over sorted numbers,
     else a binary search for each.
     """
-    first, end = octree.arrays.items[node, 0], octree.arrays.items[node, 3]
     us = np.empty(count + 1)
     if presorted:
         sorted_uniforms(np.uint64(seed), us, np.int64(count))
@@ -334,10 +351,11 @@ def draw_points(
         us = np.random.default_rng(seed).random(count + 1)
     chain = allocate_chain(octree.geometry.depth)
     chain.group[0] = group
+    chain.items[0] = octree.arrays.items[node, 0], octree.arrays.items[node, 3]
     index, weights = np.empty((count, 3), np.int64), np.empty((count + 1, 2))
     geometry = octree.geometry
     used = _draw_many(
-        octree.arrays, distribution, geometry.tables, geometry.instances, np.int64(first), np.int64(end),
-        us[:count], np.uint64(hash_path(np.uint64(seed), np.int64(-3))), chain, index, weights,
+        octree.arrays, distribution, geometry.tables, geometry.instances, us[:count],
+        np.uint64(hash_path(np.uint64(seed), np.int64(-3))), chain, index, weights,
     )  # fmt: skip
     return index[:used, 0], index[:used, 1], index[:used, 2], weights[:used]

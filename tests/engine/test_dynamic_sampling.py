@@ -345,6 +345,30 @@ def test_culling_changes_nothing_but_the_work(draws):
     assert (other.depth != culled.depth).any()
 
 
+def nested_field(rng, levels=4):
+    """Balls in front of each other, of 8 smaller ones each, and so on: most points lie in placements below a pixel."""
+    p, t = sphere(6, 6)
+    group = Group("ball", [Mesh("ball", p, t)])
+    for level in range(levels):
+        group = Group(
+            f"level {level}", [], [Instances((group,), random_transforms(rng, 8, (0.25, 0.4), 0.8))]
+        )
+    return Group("root", [], [Instances((group,), random_transforms(rng, 60, (2.0, 3.0), 6.0))])
+
+
+@pytest.mark.parametrize("draws", ["random", "stratified"])
+@pytest.mark.parametrize("radius", [0.0, 1.5])
+@pytest.mark.parametrize("kind", ["PERSPECTIVE", "ORTHOGRAPHIC"])
+def test_points_end_at_placements_that_cannot_be_seen(kind, radius, draws):
+    root = nested_field(np.random.default_rng(4))
+    how = {"kind": kind, "ppp": 24.0, "subpixels": 2, "radius": radius}
+    all_of_it, culled = (Drawn(root, draws, culling=culling, **how) for culling in (False, True))
+    inner = slice(2, -2)  # boxes across the border of a tile are hidden as what they show in it is
+    np.testing.assert_array_equal(culled.depth[inner, inner], all_of_it.depth[inner, inner])
+    ended = culled.counters["points_ended"] - all_of_it.counters["points_ended"]
+    assert (culled.depth > 0).mean() > 0.2 and ended > 0.2 * culled.counters["points_drawn"]
+
+
 @pytest.mark.parametrize("draws", ["random", "stratified"])
 def test_tiles_see_the_same_points(draws):
     """Cells that are drawn in two parts are those of the whole, whatever the tiles are."""
