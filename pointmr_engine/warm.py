@@ -260,7 +260,7 @@ class _Kernels:
         from pointmr_engine.raytracing.light_sampling import LightSamples
 
         if self.wanted["transparent"]:
-            self.space.dim(self.space.waiting[:0], 0, np.zeros((0, 3), np.float32))
+            self.space.dim(self.space.waiting[:0], np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
         self.space.settle(0)
         if self.space.raises:
             self.space.raise_origins(0)

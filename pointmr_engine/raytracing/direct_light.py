@@ -181,32 +181,39 @@ def settle(shadows: ShadowRays, hits: Hits, samples: Samples, limit, n, waiting)
 
 
 @device
-def _chance(shadows, samples, i):
-    """A number in 0..1 of shadow ray i, another one behind each surface."""
+def _chance(shadows, samples, i, passed):
+    """A number in 0..1 of shadow ray i, another one behind each of the surfaces that it has passed."""
     slot = shadows.slot[i]
     h = hash_path(np.uint64(samples.seed[slot]), np.int64(samples.number[slot]))
-    h = hash_path(h, np.int64(shadows.passed[i]))
+    h = hash_path(h, np.int64(passed))
     h = hash_path(h, np.int64(shadows.rays.direction[i, 0] * 2.0**40))  # rays of one point differ by it
     return np.float64(h >> np.uint64(11)) * 2.0**-53
 
 
 @uncounted
-def dim(shadows: ShadowRays, samples: Samples, hits: Hits, frames, waiting, m, share):
-    """Shadow rays waiting[0..m] pass their surface, which lets share (m, 3) through; packed to rows 0.. that go on.
+def dim(shadows: ShadowRays, samples: Samples, veils, waiting, taken, hits: Hits, frames, share):
+    """Shadow rays `waiting` pass taken (len(waiting),) surfaces each; those that go on are packed to rows 0.., counted.
 
-    Those that have hardly any light left do so by chance (Russian roulette).
+    hits, frames: of these surfaces, ray after ray, nearest first; share (M, 3): what each lets through. Rays that have
+    hardly any light left go on by chance (Russian roulette).
     """
-    n = np.int64(0)
-    for j in range(m):
-        i = waiting[j]
-        r = shadows.light[i, 0] * share[j, 0]
-        g = shadows.light[i, 1] * share[j, 1]
-        b = shadows.light[i, 2] * share[j, 2]
-        left, least = max(abs(r), abs(g), abs(b)), FAINT * (1 + shadows.passed[i]) * shadows.whole[i]
-        if left < least:
-            if not left > least * _chance(shadows, samples, i):
-                continue
-            r, g, b = r * (least / left), g * (least / left), b * (least / left)
+    n, first = np.int64(0), np.int64(0)
+    for j in range(len(waiting)):
+        i, last = waiting[j], first + taken[j] - 1
+        r, g, b = shadows.light[i, 0], shadows.light[i, 1], shadows.light[i, 2]
+        alive = True
+        for k in range(first, last + 1):
+            r, g, b = r * share[k, 0], g * share[k, 1], b * share[k, 2]
+            passed = shadows.passed[i] + (k - first)
+            left, least = max(abs(r), abs(g), abs(b)), FAINT * (1 + passed) * shadows.whole[i]
+            if left < least:
+                if not left > least * _chance(shadows, samples, i, passed):
+                    alive = False
+                    break
+                r, g, b = r * (least / left), g * (least / left), b * (least / left)
+        first = last + 1
+        if not alive:
+            continue
         for a, now in enumerate((r, g, b)):
             before = shadows.light[i, a]
             share_left = now / before if before != 0.0 else 0.0
@@ -216,15 +223,16 @@ def dim(shadows: ShadowRays, samples: Samples, hits: Hits, frames, waiting, m, s
         shadows.slot[n] = shadows.slot[i]
         shadows.whole[n] = shadows.whole[i]
         shadows.source[n] = shadows.source[i]
-        shadows.passed[n] = shadows.passed[i] + 1
+        shadows.passed[n] = shadows.passed[i] + taken[j]
         rays = shadows.rays
         for a in range(3):
             rays.origin[n, a] = rays.origin[i, a]
             rays.direction[n, a] = rays.direction[i, a]
-        rays.t_min[n] = hits.t[i] + frames.offset[i]
+        rays.t_min[n] = hits.t[last] + frames.offset[last]
         rays.t_max[n] = rays.t_max[i]
         rays.visibility[n] = rays.visibility[i]
-        rays.skip_triangle[n] = hits.triangle[i]
-        rays.skip_path[n] = hits.path[i]
+        rays.skip_triangle[n] = hits.triangle[last]
+        rays.skip_path[n] = hits.path[last]
+        veils.row[n] = veils.row[i]
         n += 1
     return n

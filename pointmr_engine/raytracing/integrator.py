@@ -24,12 +24,16 @@ from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits
 from pointmr_engine.raytracing.shade import Shader, allocate_view, fill_view
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, allocate_ray_state, frames
 from pointmr_engine.raytracing.terminator import raise_origins
+from pointmr_engine.raytracing.walk_veils import NOTED, allocate_veils, begin_veils
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.points import RAY_SHADOW
 
 BATCH = 65536  # paths that move together: enough to make numpy's overhead small, few enough for the cache
+AT_ONCE = (
+    1024  # surfaces that shadow rays pass in one step, if so few of them wait: to make numpy's overhead small
+)
 NEXT = np.array(
     [0.8191725134, 0.6710436067, 0.5497004779]
 )  # Roberts' low-discrepancy steps in three dimensions
@@ -82,14 +86,18 @@ class Workspace:
             self.light_samples = allocate_light_samples(n)
             self.shadows = direct_light.allocate_shadow_rays(n)
             self.shadow_hits = allocate_hits(n)
-            self.waiting = np.zeros(n, np.int32)
+            noted = NOTED if stage.needs.transparent_shadows else 1
+            # none where kernels are only compiled
+            levels = stage.acceleration.arrays.levels + 1 if stage.acceleration else 1
+            self.veils = allocate_veils(n, levels, noted)
+            self.waiting = np.zeros(n, np.int64)
             self.triangle = np.zeros((4, 3)), np.zeros((4, 3))
             self.even = stage.lights is not None and stage.lights.even_world
             self.raises = bool(stage.shader.geometry.tables.terminator_offset.any())
         if stage.needs.transparent_shadows and stage.needs.light_samples:
-            self.shadow_frames = allocate_frames(n)
-            self.shadow_state = allocate_ray_state(n, camera_from_world)
-            self.shadow_state.kind[:] = RAY_SHADOW
+            self.veil_hits, self.veil_frames = allocate_hits(n), allocate_frames(n)
+            self.veil_state = allocate_ray_state(n, camera_from_world)
+            self.veil_state.kind[:] = RAY_SHADOW
 
     def render_tile(self, tile: film.TileSums, first: int, count: int) -> None:
         """Add samples first..first+count of all the tile's pixels to its sums. At most `size` paths."""
@@ -220,9 +228,9 @@ class Workspace:
             self.shadows, self.shadow_hits, self.samples, self.stage.limits.transparent, count, self.waiting
         )
 
-    def dim(self, waiting, left: int, share) -> int:
+    def dim(self, waiting, taken, share) -> int:
         return direct_light.dim(
-            self.shadows, self.samples, self.shadow_hits, self.shadow_frames, waiting, left, share
+            self.shadows, self.samples, self.veils, waiting, taken, self.veil_hits, self.veil_frames, share
         )
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:
@@ -365,29 +373,37 @@ class Workspace:
     def follow_shadow_rays(self, now, count: int) -> None:
         """Add the light of shadow rays 0..count that arrives, less what the surfaces that they pass keep of it."""
         stage = self.stage
+        begin_veils(self.veils, count)
         while count:
-            walk.shadow(stage.acceleration, self.shadows.rays, self.shadow_hits, 0, count)
+            walk.shadow(stage.acceleration, self.shadows.rays, self.shadow_hits, 0, count, self.veils)
             self.counters["shadow_rays"] += count
             left = self.settle(count)
             count = self._pass_through(now, left) if left else 0
 
     def _pass_through(self, now, left: int) -> int:
-        """Dim the waiting shadow rays by their surfaces; returns how many go on."""
-        stage, waiting = self.stage, self.waiting[:left]
-        rows = np.ascontiguousarray(waiting, np.int64)
-        sub_frames(stage.shader.geometry, self.shadows.rays, self.shadow_hits, rows, self.shadow_frames)
-        state: RayState = self.shadow_state
-        source = self.shadows.source[rows]
-        for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
-            getattr(state, name)[rows] = getattr(now.state, name)[source]
-        state.transparent_depth[rows] = self.shadows.passed[rows]
-        # unfiltered: what materials make of a mean of their images is not the mean of what they let through
-        state.width[rows] = 0.0
-        state.spread[rows] = 0.0
-        share = stage.shader.transparency_at(
-            self.shadows.rays, state, self.shadow_hits, self.shadow_frames, rows
+        """Dim the waiting shadow rays by the surfaces that they pass next; returns how many go on.
+
+        By one where many wait; by several at once where few do, though chance may end a ray before the last of them.
+        """
+        stage, waiting, hits, surface = self.stage, self.waiting[:left], self.veil_hits, self.veil_frames
+        passed = self.shadows.passed[waiting].astype(np.int64)
+        most = max(min(AT_ONCE, self.size) // left, 1)
+        taken = walk.take_veils(
+            stage.acceleration, self.veils, waiting, np.minimum(stage.limits.transparent - passed, most), hits
         )
-        return self.dim(waiting, left, share)
+        ray = np.repeat(waiting, taken)
+        rays, n = Rays(*(a[ray] for a in self.shadows.rays)), len(ray)
+        frames(stage.shader.geometry, rays, hits, surface, 0, n)
+        state: RayState = self.veil_state
+        source = self.shadows.source[ray]
+        for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
+            getattr(state, name)[:n] = getattr(now.state, name)[source]
+        state.transparent_depth[:n] = np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n)
+        # unfiltered: what materials make of a mean of their images is not the mean of what they let through
+        state.width[:n] = 0.0
+        state.spread[:n] = 0.0
+        share = stage.shader.transparency_at(rays, state, hits, surface, np.arange(n))
+        return self.dim(waiting, taken, share)
 
 
 def sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:

@@ -23,11 +23,13 @@ from pointmr_engine.numerics.simd import slab_test
 from pointmr_engine.numerics.transforms import append_transform, ray_into
 from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.raytracing.walk_shape import BLOCKED, MISS, push_children, walk_shape
+from pointmr_engine.raytracing.walk_veils import WALK, Veils, allocate_veils, forget, nearest_veil
 from pointmr_engine.scene.group import HOLDOUT, VISIBLE
 
-__all__ = ["BLOCKED", "child_group", "combined_flags", "describe", "intersect", "shadow"]
+__all__ = ["BLOCKED", "child_group", "combined_flags", "describe", "intersect", "shadow", "take_veils"]
 
 _EMPTY = -(2**31)
+_NO_VEILS = allocate_veils(0, 0)
 
 
 class ScratchPointers(NamedTuple):
@@ -130,13 +132,27 @@ def _enter(levels, level, ox, oy, oz, dx, dy, dz, group, flags, bottom, path):
 
 
 @uncounted
-def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
+def _known_veil(veils, n, hits):
+    """Name the next surface of the ray's list in hit n, or nothing where it has none; False: the ray must be walked."""
+    row, k = nearest_veil(veils, n)
+    hits.t[n], hits.triangle[n] = np.inf, MISS
+    if k >= 0:
+        hits.t[n], hits.triangle[n] = veils.t[row, k], veils.triangle[row, k]
+    return k != WALK
+
+
+@uncounted
+def _trace(w, rays, hits, scratch, levels, start, stop, any_hit, veils):
     """Both kinds of walk over rays[start:stop]."""
     chain, best_chain = levels.chain, levels.best_chain
     for n in range(start, stop):
         ox, oy, oz = rays.origin[n, 0], rays.origin[n, 1], rays.origin[n, 2]
         dx, dy, dz = rays.direction[n, 0], rays.direction[n, 1], rays.direction[n, 2]
         t_min, t_max = rays.t_min[n], rays.t_max[n]
+        if any_hit and _known_veil(veils, n, hits):
+            continue
+        if any_hit:
+            forget(veils, n)
         hits.t[n] = np.inf
         hits.triangle[n] = MISS
         size = dx * dx + dy * dy + dz * dz
@@ -204,19 +220,21 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
                     )
                     limits = (t_max if any_hit else best_t, best_t)
                     triangle, t, u, v = walk_shape(
-                        w, part, px, py, pz, qx, qy, qz, t_min, limits, skip, any_hit, scratch, sp
-                    )
+                        w, part, px, py, pz, qx, qy, qz, t_min, limits, skip, any_hit, scratch, sp, veils, n, chain,
+                        below,
+                    )  # fmt: skip
                     if triangle == BLOCKED:
                         best, best_t = triangle, t
                         break
+                    if any_hit:
+                        best_t = min(t_max, veils.farthest[veils.row[n]])
                     if triangle >= 0 and t < best_t:
                         best, best_t, best_part, best_length = triangle, t, part, below
                         best_u, best_v = u, v
                         for k in range(below):
                             best_chain[k, 0] = chain[k, 0]
                             best_chain[k, 1] = chain[k, 1]
-                        if not any_hit:
-                            last_t = np.float32(best_t * length - shift + pad)
+                        last_t = np.float32(best_t * length - shift + pad)
             node = np.int64(_EMPTY)
             while sp > bottom:
                 sp -= 1
@@ -232,6 +250,9 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
                 group, flags, bottom = levels.state[level, 0], levels.state[level, 1], levels.state[level, 2]
                 path = levels.path[level]
                 entering = True
+        if any_hit and best != BLOCKED:
+            _known_veil(veils, n, hits)
+            continue
         hits.triangle[n] = best
         if best != MISS:
             hits.t[n] = best_t
@@ -243,7 +264,7 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit):
 
 
 def _run(
-    acceleration: Acceleration, rays: Rays, hits: Hits, start: int, stop: int | None, any_hit: bool
+    acceleration: Acceleration, rays: Rays, hits: Hits, start: int, stop: int | None, veils: Veils | None
 ) -> None:
     size, depth = acceleration.arrays.stack_size, acceleration.arrays.levels + 1
     memory = (
@@ -261,7 +282,18 @@ def _run(
     )
     scratch = ScratchPointers(*(a.ctypes.data for a in memory))
     stop = len(rays.origin) if stop is None else stop
-    _trace(acceleration.pointers, rays, hits, scratch, levels, start, stop, any_hit)
+    any_hit = veils is not None
+    _trace(
+        acceleration.pointers,
+        rays,
+        hits,
+        scratch,
+        levels,
+        start,
+        stop,
+        any_hit,
+        veils if any_hit else _NO_VEILS,
+    )
 
 
 def intersect(
@@ -272,15 +304,60 @@ def intersect(
     Releases the GIL; may run in several threads at once on disjoint ranges. A ray with a direction that is zero or not
     finite hits nothing.
     """
-    _run(acceleration, rays, hits, start, stop, False)
+    _run(acceleration, rays, hits, start, stop, None)
 
 
 def shadow(
-    acceleration: Acceleration, rays: Rays, hits: Hits, start: int = 0, stop: int | None = None
+    acceleration: Acceleration,
+    rays: Rays,
+    hits: Hits,
+    start: int = 0,
+    stop: int | None = None,
+    veils: Veils | None = None,
 ) -> None:
     """Shadow rays: hits.triangle is BLOCKED (-2) where any opaque triangle lies in between, at about hits.t.
 
     Otherwise the closest hit on a triangle whose material may be transparent (see acceleration.set_opaque) and is not
-    known to be clear there (set_clear), or -1.
+    known to be clear there (set_clear), or -1. Of hits, t and triangle alone are filled. veils: lists of the rays, from
+    which `take_veils` takes such surfaces; a ray is walked only where its list does not know the next one.
     """
-    _run(acceleration, rays, hits, start, stop, True)
+    if veils is None:
+        veils = allocate_veils(len(rays.t_min), acceleration.arrays.levels + 1, 1)
+    _run(acceleration, rays, hits, start, stop, veils)
+
+
+def take_veils(
+    acceleration: Acceleration, veils: Veils, rays: np.ndarray, most: np.ndarray, hits: Hits
+) -> np.ndarray:
+    """Take the nearest surfaces of the lists of `rays` (N,) int64, up to `most` (N,) int64 of each, nearest first.
+
+    hits: filled with them, ray after ray; it must have room for the sum of `most`. Returns how many each ray got, (N,)
+    int64.
+    """
+    taken = np.empty(len(rays), np.int64)
+    _take(acceleration.pointers, veils, rays, most, np.empty(veils.chain.shape[2:], np.int64), hits, taken)
+    return taken
+
+
+@uncounted
+def _take(w, veils, rays, most, chain, hits, taken):
+    n = np.int64(0)
+    for j in range(len(rays)):
+        taken[j] = 0
+        while taken[j] < most[j]:
+            row, k = nearest_veil(veils, rays[j])
+            if k < 0:
+                break
+            length = np.int64(veils.length[row, k])
+            for level in range(length):
+                chain[level, 0], chain[level, 1] = (
+                    veils.chain[row, k, level, 0],
+                    veils.chain[row, k, level, 1],
+                )
+            hits.t[n], hits.triangle[n] = veils.t[row, k], veils.triangle[row, k]
+            hits.u[n], hits.v[n] = veils.weights[row, k, 0], veils.weights[row, k, 1]
+            hits.part[n] = veils.part[row, k]
+            describe(w, chain, length, hits, n)
+            veils.t[row, k] = np.inf
+            taken[j] += 1
+            n += 1

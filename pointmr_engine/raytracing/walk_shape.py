@@ -23,6 +23,7 @@ from pointmr_engine.numerics.pointers import (
     store_i32,
 )
 from pointmr_engine.numerics.simd import slab_test, trailing_zeros, triangle_test
+from pointmr_engine.raytracing.walk_veils import note
 
 BLOCKED = -2  # Hits.triangle of a shadow ray that an opaque triangle stops
 MISS = -1
@@ -89,12 +90,25 @@ def is_clear(w, part, triangle, u, v):
 
 
 @uncounted
-def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scratch, sp):
+def _distance(w, block, lane, u, v, ox, oy, oz, dx, dy, dz, length, pad, t_min, t_max):
+    """Distance, in float64, of a triangle that a ray meets at weights u, v. pad: what single precision errs by."""
+    t = point_distance(w.blocks, block, lane, u, v, ox, oy, oz, dx, dy, dz)
+    # the plane's distance is exact for this very ray, unless it grazes and so leaves the triangle within rounding
+    plane = plane_distance(w.blocks, block, lane, ox, oy, oz, dx, dy, dz)
+    if abs(plane - t) * length <= 8.0 * pad and plane > t_min and plane < t_max:
+        return plane
+    return t
+
+
+@uncounted
+def walk_shape(
+    w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scratch, sp, veils, ray, chain, below
+):
     """Closest hit of a ray in the part's own space, nearer than t_max: (triangle or -1, t, u, v).
 
     `skip` is a triangle that is not hit. With any_hit, (BLOCKED, t, ...) as soon as an opaque triangle is met before
-    t_max[0]; else the closest of the others before t_max[1], but for what is clear. Without, t_max[0] = t_max[1]. The
-    stack is free from sp.
+    t_max[0]; the others before t_max[1], but for what is clear, are noted in the ray's veils (veils.note), and -1 is
+    returned. Without, t_max[0] = t_max[1]. The stack is free from sp. chain, below: instances walked down so far.
     """
     node = load_i32(w.part_root, part)
     ox -= load_f64(w.part_center, 3 * part)
@@ -152,8 +166,13 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
                         return np.int64(BLOCKED), (np.float64(t) + shift) / length, u, v
                     if t >= best_t or is_clear(w, part, triangle, u, v):
                         continue
-                    best_t = t
-                elif t <= best_t:
+                    t64 = _distance(
+                        w, block, lane, u, v, ox, oy, oz, dx, dy, dz, length, pad, t_min, t_max[1]
+                    )
+                    far = min(note(veils, ray, t64, triangle, u, v, part, chain, below), t_max[1])
+                    best_t = np.float32(far * length - shift + pad)
+                    continue
+                if t <= best_t:
                     best_t = t
                     last_t = t
                 else:
@@ -170,9 +189,7 @@ def walk_shape(w, part, ox, oy, oz, dx, dy, dz, t_min, t_max, skip, any_hit, scr
             break
     if best < 0:
         return best, np.inf, best_u, best_v
-    t64 = point_distance(w.blocks, best_block, best_lane, best_u, best_v, ox, oy, oz, dx, dy, dz)
-    # the plane's distance is exact for this very ray, unless it grazes and so leaves the triangle within rounding
-    plane = plane_distance(w.blocks, best_block, best_lane, ox, oy, oz, dx, dy, dz)
-    if abs(plane - t64) * length <= 8.0 * pad and plane > t_min and plane < t_max[1]:
-        t64 = plane
+    t64 = _distance(
+        w, best_block, best_lane, best_u, best_v, ox, oy, oz, dx, dy, dz, length, pad, t_min, t_max[1]
+    )
     return best, t64, best_u, best_v
