@@ -192,7 +192,7 @@ def main(argv: list[str] | None = None) -> int:
         rows += mine
         draw(subject, films, o.docs)
         sheets = [
-            f"![{subject}](raytrace-path-{s}.png)\n\n![{subject}](raytrace-slices-{s}.png)"
+            f"![{s}](raytrace-path-{s}.png)\n\n![{s}](raytrace-slices-{s}.png)"
             for s in dict.fromkeys(r["scene"] for r in rows)
         ]
         about = __doc__.split("\n\n")[2].partition(" Writes")[0]
