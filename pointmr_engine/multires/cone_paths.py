@@ -74,6 +74,10 @@ class ConePaths(WideLamps):
         """What is weak behind a first surface: its noise weighs less than means cost."""
         return now.throughput[:n].max(1) < STRONG if bounce else None
 
+    def few_places(self, n: int, bounce: int) -> np.ndarray | None:
+        """Fragments that weigh little: where a cone sees many of them, their errors cancel."""
+        return None if bounce else self._small(n)
+
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:
             self.flat[:n] = 1.0

@@ -138,7 +138,7 @@ class Workspace:
         fill_view(now.rays, state.kind, surface, self.view, n)
         stage.shader.lobes_at(
             now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes,
-            self.texture_slopes if bounce == 0 else None, self.at_points(now, n, bounce),
+            self.texture_slopes if bounce == 0 else None, self.at_points(now, n, bounce), self.few_places(n, bounce),
         )  # fmt: skip
         self.shaded(now, n, bounce)
         self.counters["shaded_points"] += int(alive.sum())
@@ -157,6 +157,10 @@ class Workspace:
 
     def at_points(self, now, n: int, bounce: int) -> np.ndarray | None:
         """(n,) bool: paths that see textures at a point of their footprints (Shader.lobes_at); None: none do."""
+        return None
+
+    def few_places(self, n: int, bounce: int) -> np.ndarray | None:
+        """(n,) bool: paths that see textures at a few places of their footprints (Shader.lobes_at); None: none do."""
         return None
 
     def shaded(self, now, n: int, bounce: int) -> None:

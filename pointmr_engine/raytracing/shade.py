@@ -125,10 +125,12 @@ class Shader:
         out: Lobes,
         slopes: TextureSlopes | None = None,
         at_points=None,
+        few=None,
     ):
         """Fill the lobes of the wanted rows (n,) bool of 0..n; all others are emptied. slopes: of these rows, where
         textures change across footprints; what was known of others stays. at_points (n,) bool: rows that see
-        textures at a point, not averaged over their footprints; None: none do.
+        textures at a point, not averaged over their footprints, few (n,) bool: averaged over a few places alone; None:
+        none do.
         """
         lobe_kernels.reset(out, View(*(a[:n] for a in view)))
         start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
@@ -137,7 +139,7 @@ class Shader:
             if not len(rows):
                 continue
             points = self._gather(rays, hits, frames, rows, program.needs, state, m)
-            means = self._means(program, rays, hits, frames, view, rows, state, m, at_points)
+            means = self._means(program, rays, hits, frames, view, rows, state, m, at_points, few)
             values = program.values(points)
             leaves = program.fill_leaves(values, means.values)
             if slopes is not None and means.slopes is not None:
@@ -147,7 +149,9 @@ class Shader:
             if means.variance is not None:
                 widen_lobes(out, means.rows, means.variance)
 
-    def _means(self, program: Program, rays, hits, frames, view, rows, state, material, at_points) -> Means:
+    def _means(
+        self, program: Program, rays, hits, frames, view, rows, state, material, at_points, few
+    ) -> Means:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
         normals, and images where it is seen obliquely. at_points: see lobes_at.
         """
@@ -167,7 +171,12 @@ class Shader:
         means, slopes, variance = [], None, None
         if program.fine_needs:
             found, slopes = footprint_means(
-                program.fine_values, points(program.fine_needs), rows[seen], program.fine_reads, self.seed
+                program.fine_values,
+                points(program.fine_needs),
+                rows[seen],
+                program.fine_reads,
+                self.seed,
+                None if few is None else few[rows[seen]],
             )
             means.append((seen, found))
         if program.normal_needs:

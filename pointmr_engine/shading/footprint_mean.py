@@ -52,17 +52,22 @@ def footprint_means(
     rows: np.ndarray,
     needs: frozenset[str],
     seed: int = 0,
+    few: np.ndarray | None = None,
 ) -> tuple[dict, Slopes | None]:
     """Values by name, each (n,) or (n, 3) float32: the means over the footprints of points `rows` (n,).
 
     run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
-    with NEEDS. seed: another one has other places. Also returns the slopes where values differ.
+    with NEEDS. seed: another one has other places. few (n,) bool: points that are not worth more than the first places.
+    Also returns the slopes where values differ.
     """
     found, places, sides = _at_places(run, gather, rows, needs, seed, 0, FIRST)
     mean = {name: v.mean(0) for name, v in found.items()}
     chosen, slopes = np.arange(len(rows)), None
     for begin, end, apart in ((FIRST, MORE, ALIKE), (MORE, ALL, CONTRAST)):
-        differ = np.flatnonzero(_differ(found, apart))
+        differ = _differ(found, apart)
+        if few is not None and begin == FIRST:
+            differ &= ~few
+        differ = np.flatnonzero(differ)
         if not len(differ):
             break
         chosen, places = chosen[differ], places[:, :, differ]

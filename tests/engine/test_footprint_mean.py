@@ -121,6 +121,11 @@ def test_what_is_even_is_asked_at_a_few_places_only():
     position = np.array([[2 * k + 1.5, 0.5] for k in range(9)] + [[3.0, 1.0]])
     footprint_means(run, taken(plane_points(position, 0.2)), np.arange(10), program.fine_needs)
     assert counts == [10 * FIRST, 2 * (MORE - FIRST), ALL - MORE]
+    # what is not worth more than a few takes no more, whatever they are like
+    counts.clear()
+    few = np.arange(10) == 9
+    footprint_means(run, taken(plane_points(position, 0.2)), np.arange(10), program.fine_needs, 0, few)
+    assert counts == [10 * FIRST, MORE - FIRST]
 
 
 def of_plane(run, n=300, width=0.1):

@@ -1,9 +1,9 @@
-"""Textures behind what passes little light are seen at points, whose noise weighs less than means would cost."""
+"""Textures of what weighs little: behind what passes little light at points, and of small fragments at a few."""
 
 import numpy as np
 import pytest
 
-from pointmr_engine import Group, Material, Scene, uniform_world
+from pointmr_engine import Group, Material, Mesh, Scene, uniform_world
 from pointmr_engine.raytracing import shade
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import from_above, quad
@@ -37,3 +37,34 @@ def test_only_what_passes_much_light_is_averaged(share, averages, monkeypatch):
     whole = image(behind_red_glass(1.0))[6:-6, 6:-6]
     assert seen[..., 0].mean() == pytest.approx(share * whole[..., 0].mean(), rel=0.02)
     assert whole[..., 0].mean() > 0.2 and np.abs(seen[..., 1:]).max() < 1e-6
+
+
+def strips(across: float) -> Scene:
+    """Shining checks in strips so wide, by turns at three heights."""
+    x = np.arange(-2.0, 2.0, across)
+    z = 0.3 * (np.arange(len(x)) % 3)
+    sides = ((0, -2), (1, -2), (1, 2), (0, 2))
+    corners = [(u + du * across, v, h) for u, h in zip(x, z, strict=True) for du, v in sides]
+    triangles = (4 * np.arange(len(x))[:, None, None] + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
+    checks = Material("checks", checkered(1.0 / SIDE))
+    mesh = Mesh("strips", np.array(corners, np.float32), triangles.astype(np.int32), materials=(checks,))
+    return Scene(Group("root", [mesh]), from_above(4.0), [], uniform_world((0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(("across", "fine"), [(0.004, True), (0.2, False)])  # a pixel is 0.06 wide
+def test_fragments_of_a_few_subpixels_are_averaged_over_a_few_places(across, fine, monkeypatch):
+    asked = []
+    means = shade.footprint_means
+
+    def counted(run, gather, rows, needs, seed, few):
+        asked.append(few.mean())
+        return means(run, gather, rows, needs, seed, few)
+
+    monkeypatch.setattr(shade, "footprint_means", counted)
+    seen = image(strips(across))[6:-6, 6:-6]
+    assert np.mean(asked) > 0.9 if fine else np.mean(asked) < 0.4
+    monkeypatch.setattr(shade, "footprint_means", lambda *a: means(*a[:-1]))
+    every = image(strips(across))[6:-6, 6:-6]
+    if fine:
+        assert (seen != every).any()
+    assert seen.mean() == pytest.approx(every.mean(), rel=0.01) and every.mean() > 0.2
