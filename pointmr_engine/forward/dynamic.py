@@ -51,16 +51,8 @@ from pointmr_engine.numerics.pointers import pointer_f64
 
 TRIANGLES, INSTANCES, BOXES = 5, 6, 7
 COUNTERS = (
-    "nodes",
-    "outside",
-    "hidden",
-    "points_drawn",
-    "points",
-    "triangles",
-    "instances",
-    "boxes",
-    "points_ended",
-)
+    "nodes", "outside", "hidden", "points_drawn", "points", "triangles", "instances", "boxes", "points_ended",
+)  # fmt: skip
 
 
 class PointScratch(Scratch):

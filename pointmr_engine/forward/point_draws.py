@@ -87,9 +87,7 @@ class Pen(NamedTuple):
     chain: Chain
     weights: np.ndarray  # (2,) float64
     rows: np.ndarray  # (L,) int64 of the transforms, of the placements that the last point lies in
-    bounds: (
-        np.ndarray
-    )  # (L, 5) float64 of these placements: x0, y0, x1, y1 subpixels of the tile; least depth
+    bounds: np.ndarray  # (L, 5) float64 of these: x0, y0, x1, y1 subpixels of the tile; least depth
     outcome: np.ndarray  # (L,) int64: INSIDE, ACROSS or OUTSIDE, where these bounds lie
     box: np.ndarray  # (6,) float64
     corners: np.ndarray  # (3, 3) float64

@@ -34,6 +34,7 @@ from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
 from pointmr_engine.raytracing.paths import NO_LAMPS, SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.shading.footprint_mean import EVERY, POINT, SOME
 
 ROOM = 6 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
 # of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
@@ -70,13 +71,11 @@ class ConePaths(WideLamps):
     def waiting_cones(self):
         return self.lobe_cones
 
-    def at_points(self, now, n: int, bounce: int) -> np.ndarray | None:
-        """What is weak behind a first surface: its noise weighs less than means cost."""
-        return now.throughput[:n].max(1) < STRONG if bounce else None
-
-    def few_places(self, n: int, bounce: int) -> np.ndarray | None:
-        """Fragments that weigh little: where a cone sees many of them, their errors cancel."""
-        return None if bounce else self._small(n)
+    def detail(self, now, n: int, bounce: int) -> np.ndarray:
+        """Less of what is weak behind a first surface, or small: its noise weighs less than means cost."""
+        if bounce:
+            return np.where(now.throughput[:n].max(1) < STRONG, np.uint8(POINT), np.uint8(EVERY))
+        return np.where(self._small(n), np.uint8(SOME), np.uint8(EVERY))
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce:

@@ -22,7 +22,8 @@ from pointmr_engine.multires.texture_slopes import slopes_in_image
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
 from pointmr_engine.raytracing import paths, walk
-from pointmr_engine.raytracing.integrator import Stage, Workspace, sub_frames
+from pointmr_engine.raytracing.frames import sub_frames
+from pointmr_engine.raytracing.integrator import Stage, Workspace
 from pointmr_engine.raytracing.rays import Rays, allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA

@@ -243,6 +243,15 @@ def frames(
     )
 
 
+def sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
+    """Frames of the hits `rows` only, written to those rows."""
+    chosen_rays, chosen_hits = Rays(*(a[rows] for a in rays)), Hits(*(a[rows] for a in hits))
+    found = allocate_frames(len(rows))
+    frames(geometry, chosen_rays, chosen_hits, found)
+    for target, values in zip(out, found, strict=True):
+        target[rows] = values
+
+
 def samples_of(hits: Hits, chosen) -> Samples:
     """The points that hits[chosen] stand for; chosen is a slice or indices."""
     with np.errstate(invalid="ignore"):  # weights of misses are undefined

@@ -20,7 +20,7 @@ from pointmr_engine.raytracing.camera import CameraArrays, sample_rays, window_c
 from pointmr_engine.raytracing.light_sampling import LightSamples, allocate_light_samples
 from pointmr_engine.raytracing.lights import Lights
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits
-from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits
+from pointmr_engine.raytracing.rays import Rays, allocate_hits
 from pointmr_engine.raytracing.shade import Shader, allocate_view, fill_view
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, allocate_ray_state, frames
 from pointmr_engine.raytracing.terminator import raise_origins
@@ -138,7 +138,7 @@ class Workspace:
         fill_view(now.rays, state.kind, surface, self.view, n)
         stage.shader.lobes_at(
             now.rays, state, hits, surface, self.view, alive, n, self.order, self.lobes,
-            self.texture_slopes if bounce == 0 else None, self.at_points(now, n, bounce), self.few_places(n, bounce),
+            self.texture_slopes if bounce == 0 else None, self.detail(now, n, bounce),
         )  # fmt: skip
         self.shaded(now, n, bounce)
         self.counters["shaded_points"] += int(alive.sum())
@@ -155,12 +155,8 @@ class Workspace:
         self.scatter(now, n, alive, bounce)
         return self.move(now, then, n, alive)
 
-    def at_points(self, now, n: int, bounce: int) -> np.ndarray | None:
-        """(n,) bool: paths that see textures at a point of their footprints (Shader.lobes_at); None: none do."""
-        return None
-
-    def few_places(self, n: int, bounce: int) -> np.ndarray | None:
-        """(n,) bool: paths that see textures at a few places of their footprints (Shader.lobes_at); None: none do."""
+    def detail(self, now, n: int, bounce: int) -> np.ndarray | None:
+        """(n,) uint8: at how many places of their footprints paths see textures (Shader.lobes_at); None: at every."""
         return None
 
     def shaded(self, now, n: int, bounce: int) -> None:
@@ -408,15 +404,6 @@ class Workspace:
         state.spread[:n] = 0.0
         share = stage.shader.transparency_at(rays, state, hits, surface, np.arange(n))
         return self.dim(waiting, taken, share)
-
-
-def sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
-    """Frames of the hits `rows` only, written to those rows."""
-    chosen_rays, chosen_hits = Rays(*(a[rows] for a in rays)), Hits(*(a[rows] for a in hits))
-    found = allocate_frames(len(rows))
-    frames(geometry, chosen_rays, chosen_hits, found)
-    for target, values in zip(out, found, strict=True):
-        target[rows] = values
 
 
 def _depths(camera: CameraArrays, position: np.ndarray) -> np.ndarray:

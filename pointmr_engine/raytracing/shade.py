@@ -18,6 +18,8 @@ from pointmr_engine.shading.bsdf.layout import Lobes, View
 from pointmr_engine.shading.bsdf.widening import widen_lobes
 from pointmr_engine.shading.footprint_mean import (
     OBLIQUE,
+    POINT,
+    SOME,
     Slopes,
     footprint_means,
     normal_means,
@@ -124,13 +126,11 @@ class Shader:
         order,
         out: Lobes,
         slopes: TextureSlopes | None = None,
-        at_points=None,
-        few=None,
+        detail=None,
     ):
         """Fill the lobes of the wanted rows (n,) bool of 0..n; all others are emptied. slopes: of these rows, where
-        textures change across footprints; what was known of others stays. at_points (n,) bool: rows that see
-        textures at a point, not averaged over their footprints, few (n,) bool: averaged over a few places alone; None:
-        none do.
+        textures change across footprints; what was known of others stays. detail (n,) uint8: at how many places
+        of their footprints rows see textures (footprint_mean.EVERY, SOME, POINT); None: EVERY.
         """
         lobe_kernels.reset(out, View(*(a[:n] for a in view)))
         start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
@@ -139,7 +139,7 @@ class Shader:
             if not len(rows):
                 continue
             points = self._gather(rays, hits, frames, rows, program.needs, state, m)
-            means = self._means(program, rays, hits, frames, view, rows, state, m, at_points, few)
+            means = self._means(program, rays, hits, frames, view, rows, state, m, detail)
             values = program.values(points)
             leaves = program.fill_leaves(values, means.values)
             if slopes is not None and means.slopes is not None:
@@ -149,18 +149,16 @@ class Shader:
             if means.variance is not None:
                 widen_lobes(out, means.rows, means.variance)
 
-    def _means(
-        self, program: Program, rays, hits, frames, view, rows, state, material, at_points, few
-    ) -> Means:
+    def _means(self, program: Program, rays, hits, frames, view, rows, state, material, detail) -> Means:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
-        normals, and images where it is seen obliquely. at_points: see lobes_at.
+        normals, and images where it is seen obliquely. detail: see lobes_at.
         """
         if not (program.fine_needs or program.normal_needs or program.image_needs):
             return NO_MEANS
         seen = (state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0
         seen &= (state.width[rows] > 0) | (state.spread[rows] > 0)
-        if at_points is not None:
-            seen &= ~at_points[rows]
+        if detail is not None:
+            seen &= detail[rows] != POINT
         seen = np.flatnonzero(seen)
         if not len(seen):
             return NO_MEANS
@@ -176,7 +174,7 @@ class Shader:
                 rows[seen],
                 program.fine_reads,
                 self.seed,
-                None if few is None else few[rows[seen]],
+                None if detail is None else detail[rows[seen]] == SOME,
             )
             means.append((seen, found))
         if program.normal_needs:

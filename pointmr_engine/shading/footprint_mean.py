@@ -29,6 +29,8 @@ CONTRAST = 1.0  # ... between the values of more places, that needs not all
 FAINT = 0.01  # added to that mean
 OBLIQUE = 0.6  # cosine below which images are read at several places
 FAR = 0.2  # ... and at all of them, where the first ones differ
+# at which places of their footprints points see textures: as many as they need, the first ones, none but their own
+EVERY, SOME, POINT = 0, 1, 2
 OF_FEW = FIRST / (FIRST - 1)  # times the variance about the mean of so few
 
 # 32 points of a lattice, the first 4 and 16 of which are lattices, too (Hickernell, Hong, L'Ecuyer and
