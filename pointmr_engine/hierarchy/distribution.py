@@ -264,8 +264,7 @@ def draw(octree, distribution, tables, instances, u, key, chain, weights):
     Fills chain.item, chain.matrix down to the triangle's group, and weights (2,) float64: see `place`.
     Returns the level of the triangle, or -1: refused.
     """
-    level, share = np.int64(0), 1.0
-    met, u, share = step(octree, distribution, instances, level, u, share, key, chain)
+    level, share, met = np.int64(-1), 1.0, NEW
     while met != TRIANGLE:
         level += 1
         met, u, share = step(octree, distribution, instances, level, u, share, key, chain)

@@ -149,9 +149,9 @@ def _trace(w, rays, hits, scratch, levels, start, stop, any_hit, veils):
         ox, oy, oz = rays.origin[n, 0], rays.origin[n, 1], rays.origin[n, 2]
         dx, dy, dz = rays.direction[n, 0], rays.direction[n, 1], rays.direction[n, 2]
         t_min, t_max = rays.t_min[n], rays.t_max[n]
-        if any_hit and _known_veil(veils, n, hits):
-            continue
         if any_hit:
+            if _known_veil(veils, n, hits):
+                continue
             forget(veils, n)
         hits.t[n] = np.inf
         hits.triangle[n] = MISS
@@ -283,17 +283,7 @@ def _run(
     scratch = ScratchPointers(*(a.ctypes.data for a in memory))
     stop = len(rays.origin) if stop is None else stop
     any_hit = veils is not None
-    _trace(
-        acceleration.pointers,
-        rays,
-        hits,
-        scratch,
-        levels,
-        start,
-        stop,
-        any_hit,
-        veils if any_hit else _NO_VEILS,
-    )
+    _trace(acceleration.pointers, rays, hits, scratch, levels, start, stop, any_hit, veils or _NO_VEILS)
 
 
 def intersect(
@@ -350,10 +340,8 @@ def _take(w, veils, rays, most, chain, hits, taken):
                 break
             length = np.int64(veils.length[row, k])
             for level in range(length):
-                chain[level, 0], chain[level, 1] = (
-                    veils.chain[row, k, level, 0],
-                    veils.chain[row, k, level, 1],
-                )
+                chain[level, 0] = veils.chain[row, k, level, 0]
+                chain[level, 1] = veils.chain[row, k, level, 1]
             hits.t[n], hits.triangle[n] = veils.t[row, k], veils.triangle[row, k]
             hits.u[n], hits.v[n] = veils.weights[row, k, 0], veils.weights[row, k, 1]
             hits.part[n] = veils.part[row, k]

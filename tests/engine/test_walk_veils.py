@@ -25,7 +25,7 @@ def test_veils_are_all_that_closest_hits_find_one_after_the_other(seed, noted, a
     clear = set_opaque(acceleration, np.array([m is wall for m in geometry.materials]))
     origin, n = rng.normal(size=(100, 3)) * 10, 100
     rays, hits = scene_rays(origin, rng.normal(size=(n, 3)) * 3 - origin)
-    start, near, stays = rays.origin.copy(), scene_rays(origin[:1], [0, 0, -1])[1], rays.direction.copy()
+    start, along, near = rays.origin.copy(), rays.direction.copy(), allocate_hits(1)
     veils, found = allocate_veils(n, acceleration.arrays.levels + 1, noted), [[] for _ in range(n)]
     moving, blocked = np.arange(n), np.zeros(n, np.bool_)
     while len(moving):
@@ -48,7 +48,7 @@ def test_veils_are_all_that_closest_hits_find_one_after_the_other(seed, noted, a
             veils.row[k] = veils.row[row]
         moving = moving[rows]
     for i in range(n):
-        rest = scene_rays(start[i : i + 1], stays[i : i + 1])[0]
+        rest = scene_rays(start[i : i + 1], along[i : i + 1])[0]
         wanted = []
         while True:
             walk.intersect(acceleration, rest, near)
