@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pointmr_engine.hierarchy.nearest import LEAF, STACK, PointTree, build_tree, squared
+from pointmr_engine.hierarchy.nearest import STACK, PointTree, build_tree, descend, squared
 from pointmr_engine.hierarchy.pieces import as_triangles, halve, measure, positive, whole
 from pointmr_engine.hierarchy.strategies import neighbourhood
 from pointmr_engine.scene.errors import SceneError
@@ -155,22 +155,7 @@ def _cover(tree, corner, enough, guess, stack, gap):
         # the farthest corner is at least as far as the centre: one bound serves both searches
         if gap[top] >= bound:
             continue
-        node, low, high = stack[top, 0], stack[top, 1], stack[top, 2]
-        while high - low > LEAF:
-            axis = tree.axis[node]
-            d = (x if axis == 0 else (y if axis == 1 else z)) - tree.plane[node]
-            middle = (low + high) // 2
-            node = 2 * node + 1
-            gap[top] = d * d
-            if d < 0.0:
-                stack[top, 0], stack[top, 1], stack[top, 2] = node + 1, middle, high
-                high = middle
-            else:
-                stack[top, 0], stack[top, 1], stack[top, 2] = node, low, middle
-                low = middle
-                node += 1
-            if gap[top] < bound:
-                top += 1
+        low, high, top = descend(tree, x, y, z, bound, stack, gap, top)
         for i in range(low, high):
             d2 = squared(tree, i, x, y, z)
             least = min(least, d2)

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from pointmr_engine.numerics.jit import device
+
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
 LEAF = 8  # points that are not divided further
@@ -101,6 +103,31 @@ def squared(tree, i, x, y, z):
     return p * p + q * q + r * r
 
 
+@device
+def descend(tree, x, y, z, limit, stack, gap, top):
+    """(low, high, top): the leaf below stack[top] on whose side (x, y, z) lies, and the stack's new height.
+
+    What lies on the other sides of the planes, nearer than the squared distance `limit`, is left on the stack.
+    """
+    node, low, high = stack[top, 0], stack[top, 1], stack[top, 2]
+    while high - low > LEAF:
+        axis = tree.axis[node]
+        d = (x if axis == 0 else (y if axis == 1 else z)) - tree.plane[node]
+        middle = (low + high) // 2
+        node = 2 * node + 1
+        gap[top] = d * d
+        if d < 0.0:
+            stack[top, 0], stack[top, 1], stack[top, 2] = node + 1, middle, high
+            high = middle
+        else:
+            stack[top, 0], stack[top, 1], stack[top, 2] = node, low, middle
+            low = middle
+            node += 1
+        if gap[top] < limit:
+            top += 1
+    return low, high, top
+
+
 @_jit
 def nearest(tree, x, y, z, guess, stack, gap):
     """(place in the tree, squared distance) of the point nearest to (x, y, z); place -1 if there is none.
@@ -117,22 +144,7 @@ def nearest(tree, x, y, z, guess, stack, gap):
         top -= 1
         if gap[top] >= best2:
             continue
-        node, low, high = stack[top, 0], stack[top, 1], stack[top, 2]
-        while high - low > LEAF:
-            axis = tree.axis[node]
-            d = (x if axis == 0 else (y if axis == 1 else z)) - tree.plane[node]
-            middle = (low + high) // 2
-            node = 2 * node + 1
-            gap[top] = d * d
-            if d < 0.0:
-                stack[top, 0], stack[top, 1], stack[top, 2] = node + 1, middle, high
-                high = middle
-            else:
-                stack[top, 0], stack[top, 1], stack[top, 2] = node, low, middle
-                low = middle
-                node += 1
-            if gap[top] < best2:
-                top += 1
+        low, high, top = descend(tree, x, y, z, best2, stack, gap, top)
         for i in range(low, high):
             d2 = squared(tree, i, x, y, z)
             if d2 < best2:
