@@ -6,7 +6,31 @@ scene's name, its docstring says what would look wrong if the feature were.
 
 from __future__ import annotations
 
-from benchmarks.features import bsdf, film, instances, lenses, lights, principled, textures
+from benchmarks.features import (
+    bsdf,
+    displacement,
+    film,
+    images,
+    instances,
+    lenses,
+    lights,
+    patterns,
+    principled,
+    textures,
+)
 from benchmarks.features.registry import FEATURES, source
 
-__all__ = ["FEATURES", "bsdf", "film", "instances", "lenses", "lights", "principled", "source", "textures"]
+__all__ = [
+    "FEATURES",
+    "bsdf",
+    "displacement",
+    "film",
+    "images",
+    "instances",
+    "lenses",
+    "lights",
+    "patterns",
+    "principled",
+    "source",
+    "textures",
+]

@@ -68,6 +68,11 @@ def matte(color=GREY, name: str = "Matte") -> bpy.types.Material:
     return material(name, lambda t: node(t, "ShaderNodeBsdfDiffuse", {"Color": color}).outputs[0])
 
 
+def diffuse(name: str, color) -> bpy.types.Material:
+    """A diffuse surface whose colour is what color(tree) returns: a socket or a value."""
+    return material(name, lambda t: node(t, "ShaderNodeBsdfDiffuse", {"Color": color(t)}).outputs[0])
+
+
 def glow(color=(1, 1, 1), strength=5.0, name: str = "Glow") -> bpy.types.Material:
     """A surface that only emits."""
     return material(
