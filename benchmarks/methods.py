@@ -7,9 +7,8 @@ from dataclasses import dataclass
 ENGINES = {"cycles": "CYCLES", "nothing": "JUDGE_NOTHING"}
 OURS = ("conventional", "distributed", "raytrace", "forward")
 CONES = (1, 4, 16, 64)
-PROTOCOL = (
-    3  # raise when the settings below change what an image shows: cached references are then rendered anew
-)
+# raise when the settings below change what an image shows: cached references are then rendered anew
+PROTOCOL = 3
 
 
 @dataclass(frozen=True)

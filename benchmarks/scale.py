@@ -104,9 +104,8 @@ def main(argv: list[str] | None = None) -> int:
     million = (options.out / f"instances_{options.instances}.blend").resolve()
     if not million.is_file():
         build_million(million, options.instances)
-    compiled = first_image(
-        million, ours, (64, 48), options.threads, options.out, again=False
-    )  # kernels onto the disk
+    # kernels onto the disk
+    compiled = first_image(million, ours, (64, 48), options.threads, options.out, again=False)
     print("warm-up", compiled, flush=True)
     for method in (Method("nothing", 1), ours, Method("cycles", 1)):
         rows.append(first_image(million, method, (320, 240), options.threads, options.out, again=True))

@@ -230,9 +230,8 @@ def set_property(group, name: str, value: str | bool, option: str = "") -> None:
             number = float(value)
         except ValueError as error:
             raise CommandError(f"--{what}: '{value}' is not a number") from error
-        low, high = (
-            float(f"{limit:.6g}") for limit in (rna.hard_min, rna.hard_max)
-        )  # they are single floats
+        # they are single floats
+        low, high = (float(f"{limit:.6g}") for limit in (rna.hard_min, rna.hard_max))
         if not low <= number <= high:
             raise CommandError(f"--{what}: {value} is outside {low:g} to {high:g}")
         value = number

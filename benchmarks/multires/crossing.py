@@ -58,9 +58,8 @@ def _beyond(n, e, t, goal: float, end: int, inner: int) -> Crossing:
     """Follow the line through two points past the one at `end`."""
     slope = (e[end] - e[inner]) / (n[end] - n[inner])
     if slope > FLATTEST:
-        never = (
-            end > inner
-        )  # an error that is above a curve that is flat from its start is met by the first point
+        # an error that is above a curve that is flat from its start is met by the first point
+        never = end > inner
         return (
             Crossing(math.inf, math.inf, "never")
             if never

@@ -224,9 +224,8 @@ def quaternions(rotation: np.ndarray) -> np.ndarray:
     """Unit quaternions (N, 4), w first, of rotations (N, 3, 3), by the largest of their components."""
     m = rotation
     trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
-    squares = (
-        np.stack([trace, *(2 * m[:, i, i] - trace for i in range(3))], 1) + 1
-    )  # 4 times each component squared
+    # 4 times each component squared
+    squares = np.stack([trace, *(2 * m[:, i, i] - trace for i in range(3))], 1) + 1
     x, y, z = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
     xy, xz, yz = m[:, 0, 1] + m[:, 1, 0], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 2] + m[:, 2, 1]
     w2, x2, y2, z2 = squares.T

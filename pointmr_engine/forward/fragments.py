@@ -26,9 +26,8 @@ class Fragments(NamedTuple):
     y: np.ndarray  # (F,) float32
     count: np.ndarray  # (F,) int32 subpixels
     position: np.ndarray  # (F, 3) float64
-    normal: (
-        np.ndarray
-    )  # (F, 3) float32, length at most 1: less where the piece's normals differ; 0: to be looked up
+    # (F, 3) float32, length at most 1: less where the piece's normals differ; 0: to be looked up
+    normal: np.ndarray
     geometric: np.ndarray  # (F, 3) float32 unit normal of triangles
     albedo: np.ndarray  # (F, 3) float32
     emission: np.ndarray  # (F, 3) float32
@@ -167,9 +166,8 @@ def fill_fragments(
     no colour and no normal yet (it is 0).
     """
     m = transforms.matrix
-    last = np.int64(
-        EMPTY
-    )  # the triangle that `corners` and its normal belong to: neighbours often show the same one
+    # the triangle that `corners` and its normal belong to: neighbours often show the same one
+    last = np.int64(EMPTY)
     nx = ny = nz = 0.0
     for k in range(count):
         e = np.int64(fragments.entry[k])

@@ -17,9 +17,8 @@ from pointmr_engine.numerics.jit import uncounted
 class Transforms(NamedTuple):
     """K placements of groups, a parent before those below it."""
 
-    matrix: (
-        np.ndarray
-    )  # (K, 12) float64: (3, 4) camera_from_group, of positions relative to the group's centre
+    # (K, 12) float64: (3, 4) camera_from_group, of positions relative to the group's centre
+    matrix: np.ndarray
     parent: np.ndarray  # (K,) int32 row of the placement that this one lies in, -1: none, the root
     record: np.ndarray  # (K,) int32 scene-wide instance record, -1: the root
     group: np.ndarray  # (K,) int32

@@ -39,9 +39,8 @@ from pointmr_engine.hierarchy.sample_sets import NOT_YET
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.simd import WIDTH
 
-HARDLY = (
-    1 / 8
-)  # of a box: when no more of it can be seen, samples twice as far apart will do for moving images
+# of a box: when no more of it can be seen, samples twice as far apart will do for moving images
+HARDLY = 1 / 8
 SMALL = 1.5  # cells: triangles no larger are shaded once, not in every cell
 PATIENCE = 1 << 14  # boxes whose sets are not built, until a walk ends
 DONE, ENTRIES_FULL, HEAP_FULL, TRANSFORMS_FULL = 0, 1, 2, 3

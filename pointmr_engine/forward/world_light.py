@@ -31,9 +31,8 @@ class WorldMaps(NamedTuple):
     """All maps of one kind of light, behind each other."""
 
     texels: np.ndarray  # (T, 3) float32 radiance
-    first: (
-        np.ndarray
-    )  # (M + 1,) int64 row of each map's first texel; the last one is filtered with the cosine
+    # (M + 1,) int64 row of each map's first texel; the last one is filtered with the cosine
+    first: np.ndarray
     width: np.ndarray  # (M + 1,) int64 columns; half as many rows
     alpha: np.ndarray  # (M,) float64 GGX roughness that each map is filtered for, increasing
 

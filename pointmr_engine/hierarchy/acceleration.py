@@ -21,9 +21,8 @@ class WalkArrays(NamedTuple):
 
     boxes: np.ndarray  # (nodes, 48) float32: lower x, y, z, upper x, y, z of eight children
     children: np.ndarray  # (nodes, 8) int32
-    blocks: (
-        np.ndarray
-    )  # (leaves of shapes, 72) float32: three vertices' x, y, z of eight triangles, about the centre
+    # (leaves of shapes, 72) float32: three vertices' x, y, z of eight triangles, about the centre
+    blocks: np.ndarray
     block_triangles: np.ndarray  # (leaves of shapes, 8) int32, scene-wide
     item_record: np.ndarray  # (items of groups,) int32: an instance record, or ~part
     item_batch: np.ndarray  # (items of groups,) int32

@@ -153,9 +153,8 @@ def build_wide(prims, leaf_size, first_node, first_leaf, boxes, children, leaves
     bounds = np.empty((8, 8), np.float32)
     begin = np.empty(8, np.int64)
     end = np.empty(8, np.int64)
-    work = np.empty(
-        (1024, 4), np.int64
-    )  # node, start, stop, depth: seven per level, and the depth is bounded
+    # node, start, stop, depth: seven per level, and the depth is bounded
+    work = np.empty((1024, 4), np.int64)
     n_work = _push(work, np.int64(0), np.int64(first_node), np.int64(0), np.int64(len(prims)), np.int64(1))
     n_nodes, n_leaves = first_node + 1, first_leaf
     deepest = 1

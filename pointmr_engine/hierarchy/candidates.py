@@ -81,9 +81,8 @@ class Candidates:
         low, high = (int(ranges[:, 0].min()), int(ranges[:, 1].max())) if len(ranges) else (0, 0)
         wholes = self._wholes(g, low, high)
         items = int((ranges[:, 1] - ranges[:, 0]).sum())
-        found = np.empty(
-            (3, items), np.int64
-        )  # rows of whole triangles; items of long triangles and instances
+        # rows of whole triangles; items of long triangles and instances
+        found = np.empty((3, items), np.int64)
         homes = np.empty((3, items), np.int32)
         counts = np.zeros(3, np.int64)
         _sort_out(

@@ -19,9 +19,8 @@ from pointmr_engine.numerics.hashing import hash_path
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_f64, pointer_i32
 
-_EXHAUSTED = (
-    2.0**-24
-)  # of a random number's range: what is left when an item is chosen this narrow is drawn anew
+# of a random number's range: what is left when an item is chosen this narrow is drawn anew
+_EXHAUSTED = 2.0**-24
 _QUARTERINGS = 3  # of a triangle: finer than the distance of its points, of which it has a few at most
 _NEAR = 6  # items that are looked at one by one
 BELOW_ONE = 1.0 - 2.0**-53
@@ -42,9 +41,8 @@ class Distribution(NamedTuple):
 class Chain(NamedTuple):
     """Working memory of draws: the placements that the last one went through, kept while the next goes the same way."""
 
-    matrix: (
-        np.ndarray
-    )  # (L, 12) float64: from each level's group (relative to its centre) to the space of the draw
+    # (L, 12) float64: from each level's group (relative to its centre) to the space of the draw
+    matrix: np.ndarray
     item: np.ndarray  # (L,) int64: item chosen at each level, the last one a triangle; -1: not yet
     items: np.ndarray  # (L, 2) int64: first and end of those that each level chooses from
     group: np.ndarray  # (L,) int64

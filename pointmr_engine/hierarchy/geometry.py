@@ -71,9 +71,8 @@ class Shape:
     center: np.ndarray  # (3,) float64
     radius: float
     first_triangle: int  # scene-wide index of triangle 0
-    lower: (
-        np.ndarray
-    )  # (3,) float64 bounds of the finite triangles, in the mesh's space; inf where there are none
+    # (3,) float64 bounds of the finite triangles, in the mesh's space; inf where there are none
+    lower: np.ndarray
     upper: np.ndarray  # (3,) float64
 
 
@@ -180,9 +179,8 @@ def _compile_shape(mesh: Mesh, first_triangle: int) -> Shape:
     lower, upper = kept.min(0).astype(np.float64), kept.max(0).astype(np.float64)
     center, half = (lower + upper) / 2, float((upper - lower).max()) / 2
     if positions.dtype == np.float32 and np.abs(center).max() <= half:
-        center = np.zeros(
-            3
-        )  # near enough to its origin that shifting would gain nothing: use the array as it is
+        # near enough to its origin that shifting would gain nothing: use the array as it is
+        center = np.zeros(3)
         stored = np.ascontiguousarray(positions)
     else:
         stored = np.ascontiguousarray(positions - center, np.float32)

@@ -15,9 +15,8 @@ class Moments(NamedTuple):
 
     area: np.ndarray  # (K,) float32
     centroid: np.ndarray  # (K, 3) float32; of nothing (area 0): 0
-    covariance: (
-        np.ndarray
-    )  # (K, 6) float32: xx, xy, xz, yy, yz, zz of the points about the centroid, per area
+    # (K, 6) float32: xx, xy, xz, yy, yz, zz of the points about the centroid, per area
+    covariance: np.ndarray
 
 
 def merge_moments(

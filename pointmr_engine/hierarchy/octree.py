@@ -39,9 +39,8 @@ class OctreeArrays(NamedTuple):
     box: np.ndarray  # (N, 6) float32: lower x, y, z, upper x, y, z of all that lies below
     side: np.ndarray  # (N,) float32, of the node's cell
     level: np.ndarray  # (N,) int32, 0: the group's root, CHAIN: the cell that fits the group
-    child: (
-        np.ndarray
-    )  # (N, 2) int32: first child, number of children (they are neighbours); 0 children: a leaf
+    # (N, 2) int32: first child, number of children (they are neighbours); 0 children: a leaf
+    child: np.ndarray
     items: (
         np.ndarray
     )  # (N, 4) int32: first item; end of the own items that are large for this level; end of the
@@ -50,9 +49,8 @@ class OctreeArrays(NamedTuple):
     item_level: np.ndarray  # (M,) int32: level whose cells fit the item
     group_root: np.ndarray  # (G,) int32 node, -1: nothing in the group
     group_center: np.ndarray  # (G, 3) float64
-    group_side: (
-        np.ndarray
-    )  # (G,) float64: side of the cell that fits the group; the root's is 2**CHAIN times it
+    # (G,) float64: side of the cell that fits the group; the root's is 2**CHAIN times it
+    group_side: np.ndarray
     part_offset: np.ndarray  # (P, 3) float64: where stored positions are zero, in the mesh's space
 
 

@@ -29,9 +29,8 @@ class Pieces(NamedTuple):
     u: np.ndarray  # (C,) float32, the centroid is (1 - u - v) a + u b + v c in triangle (a, b, c)
     v: np.ndarray  # (C,) float32
     area: np.ndarray  # (C,) float32
-    covariance: (
-        np.ndarray
-    )  # (C, 6) float32: xx, xy, xz, yy, yz, zz of the points of the piece about its centroid
+    # (C, 6) float32: xx, xy, xz, yy, yz, zz of the points of the piece about its centroid
+    covariance: np.ndarray
     radius: np.ndarray  # (C,) float32, largest distance from the centroid to a vertex
 
 

@@ -41,9 +41,8 @@ NEVER, NOT_YET = -1, -2  # in SetArrays.sets[:, 0]: the node has no set; its set
 # Below a cell that fits its group, nodes of fewer instances have no set: their groups' sets serve. Groups of many
 # instances would need too much memory for as many sets as groups of few, of which the walk may meet millions.
 INSTANCES_OF_SET, INSTANCES_OF_LARGE_SET, LARGE_GROUP = 3, 32, 4096
-EXPOSED = (
-    CHAIN + 1
-)  # up to this level samples are so far apart that what is hidden inside a group must not mix in
+# up to this level samples are so far apart that what is hidden inside a group must not mix in
+EXPOSED = CHAIN + 1
 EXPOSED_CELLS = 64  # of a group's side: how finely it is looked at to tell
 PIECE = 0.5  # of the spacing: the size that triangles are cut to before samples are chosen
 CANDIDATE = 0.5  # of the spacing: the spacing of the surfels that stand for an instance among the candidates

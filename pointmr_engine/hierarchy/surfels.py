@@ -26,9 +26,8 @@ class Surfels(NamedTuple):
     """
 
     row: np.ndarray  # (S, 16) float32: columns X to BLUE; positions relative to the group's centre
-    emission: (
-        np.ndarray
-    )  # (S, 3) float32 radiance; or (1, 3), that of all: surfels that do not emit need no memory
+    # (S, 3) float32 radiance; or (1, 3), that of all: surfels that do not emit need no memory
+    emission: np.ndarray
     source: np.ndarray  # (S, 2) int32: part and triangle in its shape that represent the piece
     place: np.ndarray  # (S, 2) float32: barycentric weights of that triangle's vertices 1 and 2
 

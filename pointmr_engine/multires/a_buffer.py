@@ -22,9 +22,8 @@ FULL = 1.0 / 64.0  # a cell that lets less through is full
 LINES = 6  # along which triangles are exact in a row of cells
 CHECK = 0.95  # coverage after which a cell may be full
 APART = 0.35  # cells: surfaces no farther apart in depth are one
-WHOLE = (
-    0.7  # surfels that cover more grow, for their sums are right to some per cent only: what is beyond ...
-)
+# surfels that cover more grow, for their sums are right to some per cent only: what is beyond ...
+WHOLE = 0.7
 FIRM = 1.5  # ... counts so much more
 # of a fragment: nearness at the cell's middle, half its range, coverage, place in the tile, 1 for surfels that are
 # surfaces, and which way it faces: 1, -1, 0 for clumps

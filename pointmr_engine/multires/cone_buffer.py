@@ -47,9 +47,8 @@ class Buffer(NamedTuple):
     nearness: np.ndarray  # (64,) float32, -t
     address: int
     owner: np.ndarray  # (64,) int32 entry
-    entry: (
-        np.ndarray
-    )  # (ENTRIES, 3) int64: 8 * block + lane, or ~(8 * node + lane) of a point; place; part or -1
+    # (ENTRIES, 3) int64: 8 * block + lane, or ~(8 * node + lane) of a point; place; part or -1
+    entry: np.ndarray
     plane: np.ndarray  # (ENTRIES, 4) float64: normal and offset of a triangle's plane in cone space
     place_matrix: np.ndarray  # (ENTRIES, 12) float64: cone_from_local
     place_chain: np.ndarray  # (ENTRIES, levels, 2) int64

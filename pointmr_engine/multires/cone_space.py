@@ -35,9 +35,8 @@ from pointmr_engine.numerics.simd_cone import (
     WHOLE,
 )
 
-PADDING = (
-    1e-6  # of the coordinates about a hierarchy's centre: more than the roundings of its boxes in cone space
-)
+# of the coordinates about a hierarchy's centre: more than the roundings of its boxes in cone space
+PADDING = 1e-6
 PHASES, LEVELS = 64, 16  # of the ordered dither
 KIND, FLAGS, BOTTOM, SEED = 0, 1, 2, 3  # columns of Levels.state
 
@@ -45,17 +44,14 @@ KIND, FLAGS, BOTTOM, SEED = 0, 1, 2, 3  # columns of Levels.state
 class Style(NamedTuple):
     """What is drawn as points, and how."""
 
-    small: float = (
-        2.5  # cells: boxes no larger are drawn as their prefiltered point; 0: only triangles are met
-    )
+    # cells: boxes no larger are drawn as their prefiltered point; 0: only triangles are met
+    small: float = 2.5
     reach: float = 2.05  # radius of an ellipse in standard deviations; a disk's edge is at 2
-    solid: float = (
-        1.1  # times the share of the ellipse that surfaces cover: from 1 on it is drawn without gaps
-    )
+    # times the share of the ellipse that surfaces cover: from 1 on it is drawn without gaps
+    solid: float = 1.1
     dense: float = 1.0  # times the share that clumps cover
-    wide: float = (
-        1.5  # cells times spread: no box is small that is larger, for wide cones see its near part larger
-    )
+    # cells times spread: no box is small that is larger, for wide cones see its near part larger
+    wide: float = 1.5
     whole: float = 0.75  # share of an ellipse of two standard deviations from which a surface has no gaps
 
 

@@ -43,9 +43,8 @@ ACROSS = 7  # of a cone's 8 cells lie in its lamp: the others are room for all t
 CELL = 2.0 / ACROSS  # a cell's width on a lamp that reaches from -1 to 1
 NEAR = 0.02  # footprints: what is nearer throws no shadow
 EDGE_ON = 1e-3  # cosine below which flat lamps are not seen
-LIT = (
-    2 / 3
-)  # of the height of a lamp that a surface sees in part: where half of its light comes from, roughly
+# of the height of a lamp that a surface sees in part: where half of its light comes from, roughly
+LIT = 2 / 3
 _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
 # what take_shares needs of a cone: how its cells are shifted, cosines at the point towards the lamp and along its
 # sides, cosines between these and the cone's axis

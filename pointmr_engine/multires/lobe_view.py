@@ -33,9 +33,8 @@ class LobeCones(NamedTuple):
     """The cones of N paths, and the lobes that they stand for."""
 
     cones: Cones
-    alpha: (
-        np.ndarray
-    )  # (N,) float32 roughness: 0 a mirror, or clear; below 0: a ray instead of a cone, as below
+    # (N,) float32 roughness: 0 a mirror, or clear; below 0: a ray instead of a cone, as below
+    alpha: np.ndarray
     normal: np.ndarray  # (N, 3) float32 of the lobe where it reflects; 0 where it transmits
     incoming: np.ndarray  # (N, 3) float32 to where the path came from
     # (N,) int8: 0 the whole lobe; 1 its core, whose next row is 2: what the same lobe sends beside its core

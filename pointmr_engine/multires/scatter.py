@@ -314,9 +314,8 @@ def _open_cones(
     a mirror that spreads as much, 0 of what is sharp; kind: of the lobe; normal: of one that reflects, else 0. Others
     as of `_reflect`.
     """
-    beckmann = (
-        kind & BECKMANN != 0 or kind & KIND_MASK == ASHIKHMIN_SHIRLEY
-    )  # a power of the cosine is nearly one
+    # a power of the cosine is nearly one
+    beckmann = kind & BECKMANN != 0 or kind & KIND_MASK == ASHIKHMIN_SHIRLEY
     two = alpha > 0.0 and not small and not alone and _largest(w) > STRONG
     wide = min(2.0 * alpha * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide

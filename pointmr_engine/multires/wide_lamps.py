@@ -30,9 +30,8 @@ from pointmr_engine.raytracing.lamps import sample_lamp
 from pointmr_engine.scene.group import SHADOW
 from pointmr_engine.shading.bsdf.vector import dot, row3
 
-LOOKS = (
-    4  # rays of a fragment to a lamp behind something that light passes; of a small one, and behind it, one
-)
+# rays of a fragment to a lamp behind something that light passes; of a small one, and behind it, one
+LOOKS = 4
 _SHORT = 1.0 - 1e-6  # of the way to a lamp
 
 

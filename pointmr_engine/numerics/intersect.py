@@ -7,12 +7,10 @@ import numpy as np
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.pointers import load_f32
 
-PAD = (
-    1e-6  # of the largest coordinate: bounds every rounding of the box and triangle tests (16 units of 2^-24)
-)
-FLAT = np.float32(
-    1e-18
-)  # stands for a direction component of zero, so that no infinity times zero can appear
+# of the largest coordinate: bounds every rounding of the box and triangle tests (16 units of 2^-24)
+PAD = 1e-6
+# stands for a direction component of zero, so that no infinity times zero can appear
+FLAT = np.float32(1e-18)
 
 
 @uncounted

@@ -94,9 +94,8 @@ def cone_boxes(typingctx, boxes, node, constants, out):
         ]
         near, far = constant(NEAR), constant(FAR)
         t0, t1 = p[2] - h[2], p[2] + h[2]
-        inside = builder.and_(
-            t1 > near, t0 < far
-        )  # nothing is inside an unused lane's box, which is not a number
+        # nothing is inside an unused lane's box, which is not a number
+        inside = builder.and_(t1 > near, t0 < far)
         t0, t1 = t0.at_least(near), t1.at_most(far)
         small, close, rows = None, None, []
         for axis in range(2):

@@ -29,14 +29,12 @@ class CameraArrays(NamedTuple):
 
     world_from_camera: np.ndarray  # (3, 4) float64, orthonormal columns (mirrored if the camera is)
     camera_from_world: np.ndarray  # (3, 4) float64, its inverse: row 2 gives the depth along the view axis
-    plane: (
-        np.ndarray
-    )  # (2, 2) float64: camera-space (x, y) = plane[0] + raster * plane[1], at z = 1 (perspective)
+    # (2, 2) float64: camera-space (x, y) = plane[0] + raster * plane[1], at z = 1 (perspective)
+    plane: np.ndarray
     perspective: np.ndarray  # (1,) bool; else orthographic
     clip: np.ndarray  # (2,) float64: start, end along the view axis
-    lens: (
-        np.ndarray
-    )  # (5,) float64: radius (0: pinhole), focus distance, blades (0: round), rotation, 1 / aspect
+    # (5,) float64: radius (0: pinhole), focus distance, blades (0: round), rotation, 1 / aspect
+    lens: np.ndarray
     size: np.ndarray  # (2,) float64: the whole image's width and height in pixels
     filter_table: np.ndarray  # image.filters.filter_table
 

@@ -42,9 +42,8 @@ class Emitters(NamedTuple):
     triangle: np.ndarray  # (E,) int32, scene-wide index
     path: np.ndarray  # (E,) uint64, hash of the instance path
     placement: np.ndarray  # (E,) int32, row of the Placements that it came from
-    outside: (
-        np.ndarray
-    )  # (E,) float64: 1 or -1, the side of the winding that looks out of a closed mesh; 0: open
+    # (E,) float64: 1 or -1, the side of the winding that looks out of a closed mesh; 0: open
+    outside: np.ndarray
     table: np.ndarray  # (S,) int32 hash table of emitters by path and triangle, -1: free; S is a power of two
 
 

@@ -13,9 +13,8 @@ from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 from pointmr_engine.numerics.transforms import cofactors
 from pointmr_engine.raytracing.rays import Hits, Rays
 
-OFFSET = (
-    2.0**-36
-)  # of the position's and the part's size: far above the rounding of origins, far below any detail
+# of the position's and the part's size: far above the rounding of origins, far below any detail
+OFFSET = 2.0**-36
 
 
 class Frames(NamedTuple):
@@ -26,9 +25,8 @@ class Frames(NamedTuple):
     smooth_normal: np.ndarray  # (N, 3) float32 unit, world, interpolated; the geometric one on flat meshes
     backfacing: np.ndarray  # (N,) bool: the ray came from behind the geometric normal
     material: np.ndarray  # (N,) int32 index into geometry.materials
-    offset: (
-        np.ndarray
-    )  # (N,) float64, metres: t_min of a ray that starts at `position` (with skip_triangle, skip_path)
+    # (N,) float64, metres: t_min of a ray that starts at `position` (with skip_triangle, skip_path)
+    offset: np.ndarray
 
 
 def allocate_frames(n: int) -> Frames:
@@ -221,9 +219,8 @@ def tangents_to_world(samples, tangents):
             tangents[n],
         )
         sign = np.float32(-1) if tangents[n, 3] < np.float32(0) else np.float32(1)
-        minor = (
-            m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
-        )  # cofactors() negates all of q for a mirroring transform
+        # cofactors() negates all of q for a mirroring transform
+        minor = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
         mirrored = minor * q[0, 0] < 0.0
         if minor == 0.0:
             minor = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]

@@ -32,9 +32,8 @@ from pointmr_engine.shading.points import RAY_SHADOW
 
 BATCH = 65536  # paths that move together: enough to make numpy's overhead small, few enough for the cache
 AT_ONCE = 1024  # surfaces that shadow rays pass in one step, where fewer rays wait: as for BATCH
-NEXT = np.array(
-    [0.8191725134, 0.6710436067, 0.5497004779]
-)  # Roberts' low-discrepancy steps in three dimensions
+# Roberts' low-discrepancy steps in three dimensions
+NEXT = np.array([0.8191725134, 0.6710436067, 0.5497004779])
 
 
 @dataclass(eq=False)

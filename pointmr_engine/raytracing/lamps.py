@@ -43,9 +43,8 @@ class Lamps(NamedTuple):
 
     shape: np.ndarray  # (L,) uint8: the kinds above. POINT and DISTANT are delta lamps
     values: np.ndarray  # (L, COLUMNS) float64
-    radiance: (
-        np.ndarray
-    )  # (L, 3) float64: radiance; POINT: intensity; DISTANT, areas without spread: irradiance
+    # (L, 3) float64: radiance; POINT: intensity; DISTANT, areas without spread: irradiance
+    radiance: np.ndarray
     mis: np.ndarray  # (L,) bool: rays chosen by a BSDF can meet it
     cast_shadow: np.ndarray  # (L,) bool
     visibility: np.ndarray  # (L,) uint8, bits of scene.group
@@ -120,9 +119,8 @@ def _compile_point(light: Light, m: np.ndarray, strength: np.ndarray, values: np
         values[LOCAL : LOCAL + 9] = inverse_linear(linear).ravel()
         values[COS_HALF] = math.cos(half)
         values[SMOOTH] = 1.0 / max((1.0 - math.cos(half)) * light.spot_blend, 1e-12)
-        scale = np.linalg.norm(
-            linear, axis=0
-        )  # a scaled spot's cone is an elliptical one: the wider half angle
+        # a scaled spot's cone is an elliptical one: the wider half angle
+        scale = np.linalg.norm(linear, axis=0)
         wider = math.atan2(max(scale[0], scale[1]) * math.tan(min(half, 1.57079)), scale[2])
         values[SPOT_CONE] = 1.0 if half >= 1.57079 else 1.0 - math.cos(wider)
     radiance = strength / math.pi

@@ -31,15 +31,13 @@ class LightSamples(NamedTuple):
     direction: np.ndarray  # (N, 3) float64, unit, from the point to the light
     distance: np.ndarray  # (N,) float64, inf for sun and world
     radiance: np.ndarray  # (N, 3) float32; for delta lamps: radiance times solid angle
-    pdf: (
-        np.ndarray
-    )  # (N,) float64 per solid angle, selection included; for delta lamps: of the selection alone
+    # (N,) float64 per solid angle, selection included; for delta lamps: of the selection alone
+    pdf: np.ndarray
     pending: np.ndarray  # (N,) bool: `radiance` must still be filled in, by `Lights.emission_at`
     mis: np.ndarray  # (N,) bool: a ray chosen by a BSDF can meet this light too
     cast_shadow: np.ndarray  # (N,) bool
-    visibility: (
-        np.ndarray
-    )  # (N,) uint8, bits DIFFUSE, GLOSSY, TRANSMISSION of scene.group: what may see the light
+    # (N,) uint8, bits DIFFUSE, GLOSSY, TRANSMISSION of scene.group: what may see the light
+    visibility: np.ndarray
     triangle: np.ndarray  # (N,) int32, the emissive triangle that a shadow ray may touch, -1 if none
     path: np.ndarray  # (N,) uint64, its instance path
     u: np.ndarray  # (N,) float32, barycentric weight of vertex 1

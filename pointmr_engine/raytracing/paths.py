@@ -53,9 +53,8 @@ class Paths(NamedTuple):
     state: RayState
     throughput: np.ndarray  # (N, 3) float32
     bsdf_pdf: np.ndarray  # (N,) float64 of the ray's direction; inf: lights were not sampled for it
-    origin_normal: (
-        np.ndarray
-    )  # (N, 3) float32 shading normal where the ray starts, for light sampling densities
+    # (N, 3) float32 shading normal where the ray starts, for light sampling densities
+    origin_normal: np.ndarray
     origin_transmissive: np.ndarray  # (N,) bool
     flags: np.ndarray  # (N,) uint8
     slot: np.ndarray  # (N,) int32
@@ -92,9 +91,8 @@ class Limits(NamedTuple):
     transparent: int
     clamp_direct: float
     clamp_indirect: float
-    diffuse_by_lights: (
-        bool  # points with nothing but a diffuse lobe are lit by light samples alone, and end their path
-    )
+    # points with nothing but a diffuse lobe are lit by light samples alone, and end their path
+    diffuse_by_lights: bool
     lobe_spread: float  # how much of a lobe's width one of its rays stands for
 
 

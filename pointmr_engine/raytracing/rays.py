@@ -31,9 +31,8 @@ class Hits(NamedTuple):
     world_from_part: np.ndarray  # (N, 3, 4) float64, composed transform
     object_index: np.ndarray  # (N,) int32, pass index of the object, 0 if nobody set one
     seed: np.ndarray  # (N,) uint32, combined along the path; Object Info random = seed / 2**32
-    instance: (
-        np.ndarray
-    )  # (N,) int32, record of the innermost instance (that has attributes, if any); -1: none
+    # (N,) int32, record of the innermost instance (that has attributes, if any); -1: none
+    instance: np.ndarray
     color: np.ndarray  # (N, 4) float32, Object Info colour
     holdout: np.ndarray  # (N,) bool
 

@@ -39,9 +39,8 @@ class RayState(NamedTuple):
     glossy_depth: np.ndarray  # (N,) int32
     transmission_depth: np.ndarray  # (N,) int32
     transparent_depth: np.ndarray  # (N,) int32
-    length: (
-        np.ndarray
-    )  # (N,) float32, metres travelled before the origin that count (through transparent surfaces)
+    # (N,) float32, metres travelled before the origin that count (through transparent surfaces)
+    length: np.ndarray
     width: np.ndarray  # (N,) float32, width of the ray's footprint at its origin, metres
     spread: np.ndarray  # (N,) float32, growth of that width per metre
     window: np.ndarray  # (N, 2) float32, position in the image, 0..1

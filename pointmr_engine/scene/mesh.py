@@ -10,9 +10,8 @@ from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.material import Material
 
 DOMAINS = ("vertex", "corner", "face", "constant")
-GENERATED = (
-    ".generated"  # attribute (V, 3) per vertex: "generated" coordinates that no box gives, of a deformed mesh
-)
+# attribute (V, 3) per vertex: "generated" coordinates that no box gives, of a deformed mesh
+GENERATED = ".generated"
 
 
 @dataclass(frozen=True, eq=False)

@@ -144,9 +144,8 @@ class RenderSettings:
     clamp_indirect: float = 0.0
     caustics_reflective: bool = True
     caustics_refractive: bool = True
-    pass_alpha_threshold: float = (
-        0.5  # surfaces less opaque than this let unfiltered passes look through them
-    )
+    # surfaces less opaque than this let unfiltered passes look through them
+    pass_alpha_threshold: float = 0.5
     passes: tuple[str, ...] = ("combined", "depth")
     threads: int = 0  # 0: one per core
     forward: ForwardSettings = field(default_factory=ForwardSettings)  # of method "forward" alone

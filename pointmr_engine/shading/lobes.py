@@ -123,9 +123,8 @@ def append(
     if not np.isfinite(block.sum()):
         block = np.nan_to_num(block, nan=0.0, posinf=0.0, neginf=0.0)
     if not block.flags.writeable:
-        block = (
-            block.copy()
-        )  # a read-only array is another type to numba, for which all would compile once more
+        # a read-only array is another type to numba, for which all would compile once more
+        block = block.copy()
     kind = leaf.kind
     if kind in (leaves.TRANSPARENT, leaves.EMISSION, leaves.BACKGROUND, leaves.HOLDOUT):
         _append_sums(lobes, kind, rows, block[:, :3])

@@ -123,9 +123,8 @@ class Flat:
             t = (e2 * q).sum(1) / det
             inside = np.minimum(np.minimum(u, v), 1 - u - v)
         inside = np.where(np.isfinite(inside), inside, -np.inf)
-        blurred = np.where(
-            (inside > -1e-3) & (t > t_min) & (t < t_max), t, np.inf
-        )  # nearly hit: cannot be told
+        # nearly hit: cannot be told
+        blurred = np.where((inside > -1e-3) & (t > t_min) & (t < t_max), t, np.inf)
         t = np.where((inside >= 0) & (t > t_min) & (t < t_max), t, np.inf)
         row = int(np.argmin(t))
         others = np.delete(blurred, row)

@@ -118,9 +118,8 @@ def test_own_rays_and_those_of_the_pixel_do_not_decide(data):
     assert (asked >= before).all() and (asked <= MOST).all()
     mine = pixel == pixel[0]
     changed = np.where(mine, draw.uniform(0, 1, n), share)
-    opened = np.where(
-        mine, opened * draw.integers(0, 2, n), opened
-    )  # some rays may have left below the surface
+    # some rays may have left below the surface
+    opened = np.where(mine, opened * draw.integers(0, 2, n), opened)
     _, again = ask(pixel, opened, opened * changed, others, subpixels)
     assert (again[mine] == asked[mine]).all()
 

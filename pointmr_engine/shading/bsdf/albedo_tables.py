@@ -26,9 +26,8 @@ class Tables(NamedTuple):
     ggx_average: np.ndarray  # (1, 1, 32 roughness) its cosine-weighted mean
     glass: np.ndarray  # (2: ior above or below 1, 16 z, 16 cosine, 16 roughness) albedo of GGX glass
     glass_average: np.ndarray  # (2, 16 z, 16 roughness)
-    schlick_dielectric: (
-        np.ndarray
-    )  # (1, 16 z, 16 cosine, 16 roughness) mean mix of f0 and 1, dielectric curve
+    # (1, 16 z, 16 cosine, 16 roughness) mean mix of f0 and 1, dielectric curve
+    schlick_dielectric: np.ndarray
     schlick: np.ndarray  # (1, 16 cosine, 16 roughness) the same for Schlick's fifth power
     sheen: np.ndarray  # (3: a, b, albedo; 32 roughness; 32 cosine)
     film: np.ndarray  # (6: re rgb, im rgb; m) spectral sensitivities over the optical path difference
