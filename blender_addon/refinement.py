@@ -14,11 +14,8 @@ COARSEST = 4  # pixels of the first picture are at most this wide
 SMOOTH_SECONDS = 0.15  # a first picture that comes within this time needs no coarser one before it
 PATIENT_SECONDS = 1.0  # a picture that takes longer is preceded by one of half its resolution
 LONGEST_BATCH = 16  # rays per pixel and pass, so that refinement stays visible
-FORWARD_FIRST, FORWARD_SECOND, FORWARD_FINEST = (
-    0.25,
-    1.0,
-    4.0,
-)  # samples per pixel of forward mapping's passes
+# samples per pixel of forward mapping's passes
+FORWARD_FIRST, FORWARD_SECOND, FORWARD_FINEST = 0.25, 1.0, 4.0
 CONES = (1, 4, 16, 64)  # of raytracing's
 
 

@@ -7,11 +7,8 @@ from parts import grid_faces, mesh
 
 ROWS, SECTORS, SEATS = 27, 32, 19  # 27 rows of 32 sectors of 19 seats: 16,416
 DEEP, RISE, GANGWAY = 0.82, 0.50, 12  # of a row, in metres; the row behind the gangway
-CORE_X, CORE_Y, FRONT = (
-    42.0,
-    24.0,
-    20.0,
-)  # the bowl: a rectangle's half sides, and how far from it the first row is
+# the bowl: a rectangle's half sides, and how far from it the first row is
+CORE_X, CORE_Y, FRONT = 42.0, 24.0, 20.0
 REFERENCE = 24.0  # distance at which seats are evenly spaced
 
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-STEEPEST, FLATTEST = (
-    -2.0,
-    -0.1,
-)  # log-log slopes of error against samples that are believed beyond the measured points
+# log-log slopes of error against samples that are believed beyond the measured points
+STEEPEST, FLATTEST = -2.0, -0.1
 
 
 @dataclass(frozen=True)

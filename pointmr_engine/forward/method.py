@@ -138,10 +138,8 @@ class Image:
         self.shading = self.choose_shading()
         self.hardly = HARDLY if options.shading == "simple" else 0.0
         self.tile = WIDE_TILE if self.subpixels <= 2 else TILE
-        self.drawn, self.space_of = (
-            None,
-            Workspace,
-        )  # what tiles show that was found before them, and their buffers
+        # what tiles show that was found before them, and their buffers
+        self.drawn, self.space_of = None, Workspace
         self.region = settings.region or (0, 0, settings.width, settings.height)
         index = [0 if m is None else m.pass_index for m in sampler.geometry.materials]
         self.material_index = np.array(index, np.float32)

@@ -21,13 +21,8 @@ SIDE = 32  # samples along the edges of leaders while they are compared
 TOLERANCE = 0.12  # of opacity
 LEADERS = 16  # at most, of triangles that vary alike
 _QUANTUM = 1.0 / 4096  # of texture coordinates
-_SAME = (
-    "object_color",
-    "object_index",
-    "object_random",
-    "object_location",
-    "instance_attribute",
-)  # for all points
+# for all points
+_SAME = ("object_color", "object_index", "object_random", "object_location", "instance_attribute")
 _PLACELESS = ("footprint", "uv_footprint", "geometric_normal", "moved", *_SAME)
 
 Opacity = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]

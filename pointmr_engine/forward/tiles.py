@@ -65,9 +65,8 @@ class Workspace:
         self.image = image
         self.shaded = self.closed = 0
         self.scratch.counters[:] = 0
-        self.shadow = np.zeros(
-            (0, 0), np.float32
-        )  # (lamps, fragments) share of light that arrives; or nothing
+        # (lamps, fragments) share of light that arrives; or nothing
+        self.shadow = np.zeros((0, 0), np.float32)
         self.shadow_maps = ShadowMaps(image) if image.shadows else None
         self.shading = None  # what the image's shading keeps for this thread
 

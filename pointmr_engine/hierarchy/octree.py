@@ -41,10 +41,9 @@ class OctreeArrays(NamedTuple):
     level: np.ndarray  # (N,) int32, 0: the group's root, CHAIN: the cell that fits the group
     # (N, 2) int32: first child, number of children (they are neighbours); 0 children: a leaf
     child: np.ndarray
-    items: (
-        np.ndarray
-    )  # (N, 4) int32: first item; end of the own items that are large for this level; end of the
-    #                    own items; end of the items of the whole subtree
+    # (N, 4) int32: first item; end of the own items that are large for this level; end of the own items; end of the
+    # items of the whole subtree
+    items: np.ndarray
     item: np.ndarray  # (M, 2) int32: part and triangle in its shape; or -1 - batch and placement in the batch
     item_level: np.ndarray  # (M,) int32: level whose cells fit the item
     group_root: np.ndarray  # (G,) int32 node, -1: nothing in the group

@@ -25,13 +25,8 @@ from pointmr_engine.hierarchy.surfels import COLUMNS, Surfels
 from pointmr_engine.scene.group import CAMERA
 
 FORMAT = 1  # to be raised when files get another layout
-_DECIDING = (
-    "hierarchy",
-    "shading",
-    "numerics",
-    "scene",
-    "forward/baking.py",
-)  # code that decides what sets hold
+# code that decides what sets hold
+_DECIDING = ("hierarchy", "shading", "numerics", "scene", "forward/baking.py")
 _CONSTANTS = ("CHAIN", "DIVISIONS", "LEAF_TRIANGLES", "SPACING", "KEPT_POINTS", "INSTANCE_SIZE")
 
 

@@ -19,11 +19,8 @@ from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
 from pointmr_engine.shading.bsdf.vector import row3
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 
-STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = (
-    -1.0,
-    -2.0,
-    -3.0,
-)  # LobeCones.alpha of rays: passing, or what a cone was
+# LobeCones.alpha of rays: passing, or what a cone was
+STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = -1.0, -2.0, -3.0
 _NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
 BY_LOBE = 0.0  # Paths.bsdf_pdf until the direction within the lobe is chosen
 FINE = 4  # places per side at which the lobe is taken in cells that its core covers in part

@@ -34,10 +34,8 @@ EDGES, NEAREST = 0, 12
 TRIANGLE_ROWS = 13
 
 AROUND = 6.0  # variances: an ellipse that holds a rectangle's corners
-THICK, EDGE = (
-    0.15,
-    0.01,
-)  # of a box's longest side: how thick it is at least, how far it reaches into its neighbours
+# of a box's longest side: how thick it is at least, how far it reaches into its neighbours
+THICK, EDGE = 0.15, 0.01
 _TINY = 1e-30
 _SLACK = 1e-4  # of a cell: more than what rounding can move the bounds of a box by
 

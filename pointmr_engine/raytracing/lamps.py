@@ -27,9 +27,8 @@ POINT, SPHERE, DISC, RECTANGLE, ELLIPSE, DISTANT, SUN = range(7)
 
 # columns of Lamps.values
 PX, PY, PZ = 0, 1, 2  # centre
-UX, UY, UZ, VX, VY, VZ, AX, AY, AZ = range(
-    3, 12
-)  # unit sides of area lights; the direction in which the lamp shines
+# unit sides of area lights; the direction in which the lamp shines
+UX, UY, UZ, VX, VY, VZ, AX, AY, AZ = range(3, 12)
 LOCAL = 12  # nine columns: local_from_world, row by row, of spots
 (RADIUS, HALF_U, HALF_V, SPOT, COS_HALF, SMOOTH, SPOT_CONE, TAN_SPREAD, SPREAD_SCALE, CONE) = range(21, 31)
 COLUMNS = 31

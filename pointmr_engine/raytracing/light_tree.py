@@ -20,9 +20,8 @@ from pointmr_engine.raytracing.lamps import Lamps
 CLUSTER, LAMP, TRIANGLE, SUN, WORLD = range(5)  # kinds of nodes
 
 # columns of LightTree.values
-CX, CY, CZ, HX, HY, HZ, RADIUS, AX, AY, AZ = range(
-    10
-)  # box: centre, half sides, half diagonal; axis of the cone
+# box: centre, half sides, half diagonal; axis of the cone
+CX, CY, CZ, HX, HY, HZ, RADIUS, AX, AY, AZ = range(10)
 # the cone of the lights' axes: cos and sin of its half angle; cos of that plus the angle of emission; the share of
 # importance against the axis; radiance times area
 COS_O, SIN_O, COS_OE, BEHIND, ENERGY = range(10, 15)

@@ -26,12 +26,10 @@ class SurfacePoints:
     local: np.ndarray | None = None  # (N, 3) float32, position in the object's space
     world_from_part: np.ndarray | None = None  # (N, 3, 4) float64
     uvs: dict[str, np.ndarray] = field(default_factory=dict)  # layer -> (N, 2) float32; "" is the active one
-    tangents: dict[str, np.ndarray] = field(
-        default_factory=dict
-    )  # layer -> (N, 4) float32: tangent, bitangent sign
-    uv_footprints: dict[str, np.ndarray] = field(
-        default_factory=dict
-    )  # layer -> (N,) float32: UV units per footprint
+    # layer -> (N, 4) float32: tangent, bitangent sign
+    tangents: dict[str, np.ndarray] = field(default_factory=dict)
+    # layer -> (N,) float32: UV units per footprint
+    uv_footprints: dict[str, np.ndarray] = field(default_factory=dict)
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32 (missing: zeros)
     instance_attributes: dict[str, np.ndarray] = field(default_factory=dict)  # name -> (N, 4) float32
     footprint: np.ndarray | None = None  # (N,) float32, width of the ray's footprint at the point, metres

@@ -65,9 +65,8 @@ def stack(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def luminance(color: np.ndarray) -> np.ndarray:
     """(n,) relative luminance of Rec.709 colours."""
-    return dot(
-        color, LUMINANCE[None]
-    )  # a matrix product would wake the threads of the linear algebra library
+    # a matrix product would wake the threads of the linear algebra library
+    return dot(color, LUMINANCE[None])
 
 
 def transform_point(m: np.ndarray, p: np.ndarray) -> np.ndarray:

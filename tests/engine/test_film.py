@@ -41,9 +41,8 @@ def test_unfiltered_passes_take_the_last_word_of_sample_zero():
     depth, position = np.array([1.0, 2.0, 3.0]), np.arange(9.0).reshape(3, 3)
     index = np.array([7, 8, 9], np.int32)
     write_first(tile, pixel, depth, position, index, index + 10, 0, 3)
-    write_first(
-        tile, pixel, depth + 1, position + 1, index, index + 10, 1, 2
-    )  # seen through a transparent surface
+    # seen through a transparent surface
+    write_first(tile, pixel, depth + 1, position + 1, index, index + 10, 1, 2)
     write_nothing(tile, pixel, 2, 3)  # the background, seen through one
     add_light(tile, pixel, np.zeros((3, 3)), np.zeros(3), 0, 3)
     film.finish_tile(tile)

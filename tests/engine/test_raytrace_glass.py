@@ -28,10 +28,8 @@ from tests.engine.test_raytrace_light import DARK, card, image
 GLASS = principled("glass", base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission_weight=1.0, ior=1.5)
 CHROME = principled("chrome", base_color=(0.5, 0.5, 0.5), roughness=0.0, metallic=1.0)
 CAMERA = Camera(look((0, -6, 2), (0, 0, -0.2)))
-BALL, FLOOR = (
-    np.s_[..., 12:26, 16:32, :],
-    np.s_[..., 2:10, :, :],
-)  # where CAMERA sees them in images of 48 x 36
+# where CAMERA sees them in images of 48 x 36
+BALL, FLOOR = np.s_[..., 12:26, 16:32, :], np.s_[..., 2:10, :, :]
 
 
 def ball(material) -> Mesh:

@@ -166,9 +166,8 @@ def test_a_lobes_density_integrates_to_what_it_sends_up(alpha):
         for a, b, c, w in zip(r * np.cos(phi), r * np.sin(phi), z, 4.0 * u.ravel() ** 3, strict=True)
     )
     total *= 2.0 * math.pi / n**2
-    assert total == pytest.approx(
-        1.0 / (1.0 + alpha * alpha), rel=0.01
-    )  # tan h < 1 of GGX: 1 / (1 + alpha^2)
+    # tan h < 1 of GGX: 1 / (1 + alpha^2)
+    assert total == pytest.approx(1.0 / (1.0 + alpha * alpha), rel=0.01)
 
 
 def flame(roughness: float, side: float) -> Scene:

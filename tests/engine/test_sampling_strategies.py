@@ -103,9 +103,8 @@ def test_pieces_sum_to_their_triangles_and_are_small(seed, size):
         "cb,cbk->ck", np.stack([1 - pieces.u - pieces.v, pieces.u, pieces.v], 1).astype(float), corner
     )
     np.testing.assert_allclose(at, pieces.position, atol=1e-5)
-    assert (
-        pieces.radius.max() <= size * 2 / 3 + 1e-6
-    )  # a triangle's centroid is nowhere farther from a corner
+    # a triangle's centroid is nowhere farther from a corner
+    assert pieces.radius.max() <= size * 2 / 3 + 1e-6
     # the variance of a triangle along any axis is at most a twelfth of (corner distance)^2 times two
     assert (
         np.trace(matrix(pieces.covariance), axis1=1, axis2=2) <= pieces.radius**2 / 4 * 1.001 + 1e-12

@@ -86,9 +86,8 @@ def test_barycentrics_are_uniform():
 def test_solid_angles_of_known_shapes():
     x, y, z = np.eye(3)
     assert warps.triangle_solid_angle(*x, *y, *z) == pytest.approx(math.pi / 2)  # an eighth of the sphere
-    assert warps.rectangle_solid_angle(-1.0, 1.0, -1.0, 1.0, 1.0) == pytest.approx(
-        4.0 * math.pi / 6.0
-    )  # a cube's side
+    # a cube's side
+    assert warps.rectangle_solid_angle(-1.0, 1.0, -1.0, 1.0, 1.0) == pytest.approx(4.0 * math.pi / 6.0)
     assert warps.rectangle_solid_angle(-1e9, 1e9, -1e9, 1e9, 1.0) == pytest.approx(2.0 * math.pi)
     far = warps.rectangle_solid_angle(-0.5, 0.5, -0.5, 0.5, 1e3)
     assert far == pytest.approx(1e-6, rel=1e-5)

@@ -58,9 +58,8 @@ def test_page_tells_times_at_equal_error_and_failures(tmp_path):
 def test_change_of_level_is_told_from_change_of_scene():
     rng = np.random.default_rng(0)
     truth = rng.random((6, 4, 5, 3))
-    assert temporal_error(truth + 0.3, truth) == pytest.approx(
-        np.zeros(5)
-    )  # a constant bias does not flicker
+    # a constant bias does not flicker
+    assert temporal_error(truth + 0.3, truth) == pytest.approx(np.zeros(5))
     popped = truth.copy()
     popped[3:] += 0.2
     assert temporal_error(popped, truth) == pytest.approx([0, 0, 0.2, 0, 0])
