@@ -9,8 +9,7 @@ from __future__ import annotations
 
 
 def _modules() -> tuple:
-    # imported late, so that the package's parts that need no Blender (the command line's help) load without
-    # bpy
+    # late, so that the package's parts that need no Blender (the command line's help) load without bpy
     from . import ahead, engine, instancer, preferences, properties, ui
 
     return preferences, properties, instancer, engine, ui, ahead

@@ -79,8 +79,7 @@ def camera_from_view(view: View, scale: int = 1, lens=None):
     world_from_camera = np.linalg.inv(np.array(view.view_matrix, np.float64))
     w, h = view.width, view.height
     wide, high = -(-w // scale) * scale, -(-h // scale) * scale
-    # The projection's third column (perspective) or fourth (orthographic) is twice the shift of the image's
-    # centre.
+    # The projection's third column (perspective) or fourth (orthographic) is twice the shift of the image's centre.
     shift = (p[:2, 2] if view.perspective else -p[:2, 3]) / 2
     camera = Camera(
         sensor_fit="HORIZONTAL",

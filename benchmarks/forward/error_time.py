@@ -2,11 +2,10 @@
 
     python -m benchmarks.forward.error_time [--scenes forest dragon gn_trees] [--size 640] [--reference-samples 1024]
 
-All show Lambertian surfaces under one sun without shadow, by the same pixel filter; the reference is Cycles'
-with two seeds,
-kept in out/forward/. Times are those of the rendering phase, the median of the rounds after a first one;
-hierarchies, sample
-sets and Cycles' own are built before. Scene "land", of 10^15 triangles, has its reference from `distributed`.
+All show Lambertian surfaces under one sun without shadow, by the same pixel filter; the reference is Cycles' with two
+seeds, kept in out/forward/. Times are those of the rendering phase, the median of the rounds after a first one;
+hierarchies, sample sets and Cycles' own are built before. Scene "land", of 10^15 triangles, has its reference from
+`distributed`.
 """
 
 from __future__ import annotations
@@ -230,12 +229,10 @@ def main() -> None:
     )
     typed = f"--scenes {' '.join(names)} --size {o.size} --reference-samples {o.reference_samples}".split()
     text = [
-        f"# Forward mapping: error against run time\n\n`{command('benchmarks.forward.error_time', typed)}`, {o.size} x "
-        f"{o.size * 3 // 4} "
-        f"pixels, reference of {o.reference_samples} samples.",
+        f"# Forward mapping: error against run time\n\n`{command('benchmarks.forward.error_time', typed)}`, "
+        f"{o.size} x {o.size * 3 // 4} pixels, reference of {o.reference_samples} samples.",
         "One sun without shadow, Lambertian surfaces, the same pixel filter; relMSE = mean((I-R)^2/(R^2+0.01)), "
-        "bias is relMSE "
-        "less the noise of image and reference. Seconds of the rendering phase alone.",
+        "bias is relMSE less the noise of image and reference. Seconds of the rendering phase alone.",
         "![error against run time](forward-error-time.png)",
         "The default quality, and the seconds that rivals take for the same relMSE:",
         markdown(["scene", "FLIP", "relMSE", "render s", "distributed s", "Cycles s"], summary),

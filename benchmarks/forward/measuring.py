@@ -22,9 +22,7 @@ OUT = Path(__file__).resolve().parents[2] / "out" / "forward"
 def settings(
     width: int = 640, height: int = 480, seed: int = 0, threads: int = 0, **forward
 ) -> RenderSettings:
-    """Forward mapping with simple shading and no shadows, by default as a user finds it; further settings are
-    its own.
-    """
+    """Forward mapping with simple shading and no shadows, else as a user finds it; `forward`: settings of its own."""
     options = ForwardSettings(**{"shading": "simple", "shadows": False} | forward)
     return RenderSettings(width, height, method="forward", seed=seed, threads=threads, forward=options)
 

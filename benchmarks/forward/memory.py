@@ -114,11 +114,9 @@ def main() -> None:
     write(
         o.output,
         "forward-memory.md",
-        f"# Forward mapping: memory\n\n`{command('benchmarks.forward.memory')}`. Bytes are per item: "
-        "unique triangle or "
-        "placement. The peak is the whole process's, after "
-        f"{o.views} views of {o.size} x {o.size * 3 // 4} pixels; before them it held Python, kernels and the "
-        f"scene.\n\n" + markdown(HEADER, rows),
+        f"# Forward mapping: memory\n\n`{command('benchmarks.forward.memory')}`. Bytes are per item: unique "
+        f"triangle or placement. The peak is the whole process's, after {o.views} views of {o.size} x {o.size * 3 // 4} pixels; "
+        "before them it held Python, kernels and the scene.\n\n" + markdown(HEADER, rows),
     )
 
 

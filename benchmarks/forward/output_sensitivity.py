@@ -2,11 +2,9 @@
 
     python -m benchmarks.forward.output_sensitivity [--parts triangles area depth epsilon] [--rounds 3] [--size 640]
 
-O(log tau + h + a log n) static, O(log tau + h + a log a log n) dynamic; n triangles, h height of the
-hierarchy, a projected
-area, tau relative depth range. Each part changes one quantity and keeps the others. Times are processor
-seconds of one image,
-best of the rounds, mean over the views.
+O(log tau + h + a log n) static, O(log tau + h + a log a log n) dynamic; n triangles, h height of the hierarchy, a
+projected area, tau relative depth range. Each part changes one quantity and keeps the others. Times are processor
+seconds of one image, best of the rounds, mean over the views.
 """
 
 from __future__ import annotations

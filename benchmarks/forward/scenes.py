@@ -1,10 +1,8 @@
-"""Scenes of forward mapping's benchmarks, made without Blender: forests of 10^4 to 10^15 triangles, and
-families of scenes in
-which one quantity changes and all others stay.
+"""Scenes of forward mapping's benchmarks, made without Blender: forests of 10^4 to 10^15 triangles, and families of
+scenes in which one quantity changes and all others stay.
 
-All are lit by one sun without shadow under a sky that only the camera sees, and all surfaces are Lambertian:
-what methods
-show then differs by sampling alone.
+All are lit by one sun without shadow under a sky that only the camera sees, and all surfaces are Lambertian: what
+methods show then differs by sampling alone.
 """
 
 from __future__ import annotations
@@ -238,9 +236,8 @@ def land(views: int = 24, extent: float = 45_000.0) -> Flight:
 def carpet(levels: int, views: int = 4) -> Flight:
     """A rolling meadow whose triangles grow 16-fold with each level, while its area and all its angles stay.
 
-    A tile is 4 x 4 copies of the tile of one level less at a quarter of its size, each turned by quarters.
-    With 9 x 9 of
-    them, levels 0 to 9 have 10^4 to 10^15 triangles.
+    A tile is 4 x 4 copies of the tile of one level less at a quarter of its size, each turned by quarters. With 9 x 9
+    of them, levels 0 to 9 have 10^4 to 10^15 triangles.
     """
     rng = np.random.default_rng(1)
     blades = plants.tuft("blades", 8, plants.LEAF, 60)

@@ -3,9 +3,8 @@ before the first.
 
     python -m benchmarks.forward.speed [--cases static_4e8 static_1e15 ...] [--rounds 3] [--views 24] [--size 640]
 
-Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. A view's time is
-the median over
-the rounds that follow a first one, which builds the sample sets that its views ask for.
+Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. A view's time is the
+median over the rounds that follow a first one, which builds the sample sets that its views ask for.
 """
 
 from __future__ import annotations
@@ -138,9 +137,9 @@ def main() -> None:
     parts = [
         f"# Forward mapping: speed\n\n`{command('benchmarks.forward.speed')}`, {o.size} x {o.size * 3 // 4} "
         f"pixels, {o.views} views.",
-        "Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. The last "
-        "column is what "
-        "the talk reported in 2004. Times are the median over the rounds for each view; the row's are over its views.",
+        "Full reconstruction, simple shading, nothing reused from image to image but the hierarchies. The last column "
+        "is what the talk reported in 2004. Times are the median over the rounds for each view; the row's are over its "
+        "views.",
         markdown(HEADER, rows),
         "Mean counts of one image:",
         markdown(["case", *COUNTED], counts),

@@ -66,8 +66,7 @@ class PointLights(NamedTuple):
     place: np.ndarray  # (L, 3) float64: position, or unit direction towards it (suns)
     axis: np.ndarray  # (L, 3) float64: where it shines to (spots, areas)
     strength: np.ndarray  # (L, 3) float64: irradiance of suns, intensity of others
-    # (L, 3) float64: 1 for suns; exponent of the cosine to the axis (areas: 1); cosine of a spot's half angle, -2:
-    # none
+    # (L, 3) float64: 1 for suns; exponent of the cosine to the axis (areas: 1); cosine of a spot's half angle, or -2
     kind: np.ndarray
     blend: np.ndarray  # (L,) float64: 1 / (width of a spot's soft rim in cosine)
 
@@ -114,9 +113,8 @@ def shade_lambert(
     """Radiance towards the camera of fragments 0..count.
 
     position (F, 3) float64, normal (F, 3) float32 of length up to 1 (what is missing: the piece's normals differ),
-    albedo,
-    emission (F, 3) float32; ambient (3,) float64 radiance of the world; shadow (L or 0, F) float32: share of each
-    lamp's light that arrives; out (F, 3) float32. Surfaces are lit on the side that the camera sees.
+    albedo, emission (F, 3) float32; ambient (3,) float64 radiance of the world; shadow (L or 0, F) float32: share of
+    each lamp's light that arrives; out (F, 3) float32. Surfaces are lit on the side that the camera sees.
     """
     for k in range(count):
         x, y, z = position[k, 0], position[k, 1], position[k, 2]

@@ -1,7 +1,8 @@
 """A tile's subpixel depth buffer, and the two shapes that are drawn into it: surfels' ellipses and triangles.
 
 Depth is kept as nearness, which is linear in the image for planes: 1 / z in perspective. Every subpixel remembers its
-nearest entry (science 6.2: opaque ellipses in a subpixel depth buffer beat alpha with merged sums in time and error).
+nearest entry: opaque ellipses in a subpixel depth buffer beat alpha with merged sums in time and error
+(docs/benchmarks/visibility.md).
 """
 
 from __future__ import annotations

@@ -179,8 +179,7 @@ def shape_eight(typingctx, rows, first, constants, out):
         det = (s_xx * s_yy - s_xy * s_xy).at_least(1e-30)
         disk, area = det.sqrt() * (4.0 * math.pi), column(AREA) * seen.abs()
         ratio = area / disk
-        # how much the piece is a surface, however curved, and not a clump: by its extent across (science 6.1: macro
-        # and micro)
+        # how much the piece is a surface, however curved, and not a clump: by its extent across
         minor = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
         third = (xx + yy + zz) * (1 / 3)
         bulk = minor / (third * third * third).at_least(1e-37)

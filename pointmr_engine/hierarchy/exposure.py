@@ -1,8 +1,8 @@
 """Exposure: how much of a piece of surface can be seen from outside its group, past all the rest of the group.
 
 What lies inside a group that is merged to a few samples - wood under leaves, rooms in a house - must neither mix into
-their colour nor count as area that covers: only the visible may be averaged (science 6.1). Measured by looking at the
-group along thirteen axes from both ends, through small depth buffers.
+their colour nor count as area that covers: only the visible may be averaged. Measured by looking at the group along
+thirteen axes from both ends, through small depth buffers.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A cell weighs what it sees by a Gaussian. Fragments whose ranges of depth overlap are one surface, and their coverages
 add (the areas of surfels and triangles are exact, so that a surface's sum to 1); surfaces hide each other as if they
 were independent of each other, front to back. Where one faces the other way than what is before it, both are taken for
-the sides of one body: their edges lie behind each other, and it covers what the larger covers (science: aligned edges).
+the sides of one body: their edges lie behind each other, and it covers what the larger covers.
 """
 
 from __future__ import annotations
