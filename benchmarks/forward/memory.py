@@ -115,8 +115,9 @@ def main() -> None:
         o.output,
         "forward-memory.md",
         f"# Forward mapping: memory\n\n`{command('benchmarks.forward.memory')}`. Bytes are per item: unique "
-        f"triangle or placement. The peak is the whole process's, after {o.views} views of {o.size} x {o.size * 3 // 4} pixels; "
-        "before them it held Python, kernels and the scene.\n\n" + markdown(HEADER, rows),
+        f"triangle or placement. The peak is the whole process's, after {o.views} views of {o.size} x "
+        f"{o.size * 3 // 4} pixels; before them it held Python, kernels and the scene.\n\n"
+        + markdown(HEADER, rows),
     )
 
 
