@@ -56,7 +56,9 @@ class ConePaths(WideLamps):
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
         self.none = np.zeros(n, np.bool_)
-        self.lobe_cones, self.next_cones = (allocate_lobe_cones(n, allocate_cones(n)) for _ in range(2))
+        self.lobe_cones = allocate_lobe_cones(n, allocate_cones(n))
+        # sub-rays are weighed when their cones are followed: one room for their weights will do
+        self.next_cones = allocate_lobe_cones(n, allocate_cones(n))._replace(weights=self.lobe_cones.weights)
         self.met = paths.allocate_paths(n, self.stage.camera.camera_from_world)
         self.met_fragments = allocate_fragments(n)
         self.escaped = np.empty(n, np.uint64)
