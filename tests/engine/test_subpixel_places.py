@@ -63,8 +63,11 @@ def test_no_two_subpixels_of_a_pixel_share_a_line_or_a_column(subpixels):
     assert np.abs(shift.mean(1)).max() < 1e-7
     j, i = np.indices((period, period))
     for values in (i + shift[1, j], j + shift[0, i]):
-        assert len(np.unique(values)) == period**2
-        assert period == 1 or np.diff(np.unique(values)).min() > 0.5 / period - 1e-6
+        lines = np.unique(values)
+        assert len(lines) == period**2
+        assert (np.diff(lines) > 0.5 / period).all()
+        if period == 8:
+            assert np.diff(lines) == pytest.approx(1.0 / period, abs=1e-6)
 
 
 def coverage(angle, offset, subpixels, shift=None):
@@ -88,12 +91,12 @@ def half_plane_errors(subpixels, shift=None):
     return np.array(errors)
 
 
-@pytest.mark.parametrize("subpixels, worst", [(2, 0.7), (4, 0.6), (8, 0.45)])
-def test_edges_at_every_angle_are_resolved_alike(subpixels, worst):
+@pytest.mark.parametrize("subpixels, level, worst", [(2, 0.65, 0.7), (4, 0.5, 0.6), (8, 0.2, 0.45)])
+def test_edges_at_every_angle_are_resolved_alike(subpixels, level, worst):
     """And on the whole no worse than on a plain grid, where the level and upright ones are the worst."""
     plain = half_plane_errors(subpixels)
     spread = half_plane_errors(subpixels, subpixel_places(subpixels).astype(float))
-    assert max(spread[0], spread[30]) < worst * plain[0]
+    assert max(spread[0], spread[30]) < level * plain[0]
     assert spread.max() < worst * plain.max()
     assert math.sqrt((spread**2).mean()) < 1.1 * math.sqrt((plain**2).mean())
 
