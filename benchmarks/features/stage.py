@@ -65,7 +65,7 @@ def principled(name: str = "Principled", **inputs) -> bpy.types.Material:
 
 def matte(color=GREY, name: str = "Matte") -> bpy.types.Material:
     """A Lambertian surface."""
-    return material(name, lambda t: node(t, "ShaderNodeBsdfDiffuse", {"Color": color}).outputs[0])
+    return diffuse(name, lambda tree: color)
 
 
 def diffuse(name: str, color) -> bpy.types.Material:
