@@ -18,22 +18,30 @@ import numpy as np
 
 from pointmr_engine.forward.fragments import cell_at
 from pointmr_engine.multires.light_shares import DIM, Shares, has_to_share
-from pointmr_engine.numerics.jit import device, summed, uncounted
+from pointmr_engine.multires.sharing_eights import receive
+from pointmr_engine.multires.sharing_lanes import (
+    ANGLE,
+    ARRIVED,
+    AT_X,
+    AT_Y,
+    COLUMNS,
+    FACING,
+    HEARD,
+    NEARNESS,
+    PLACE,
+    SUM_ARRIVED,
+    SUM_FACING,
+    SUM_HEARD,
+    SUM_TURNED,
+    SUMS,
+    TURNED,
+)
+from pointmr_engine.numerics.jit import device, uncounted
 
 REACH = 5  # cones: how far apart fragments share
 NEIGHBOURHOOD = 2  # cones: how far apart what rays met tells how near things are
 ERROR = 0.5  # of what arrives: change along the surface at which sharing ends
 ALIKE = 0.2  # of it: fragments of a cone that differ by less receive the same
-
-# Rows of the table of what fragments tell each other, by channel or axis: what rays about them met, place and normal in
-# the world, how much they count, by channel, what arrives times that, the angle from which it does, their cone, and
-# how what arrives changes with the normal.
-NEARNESS, PLACE, FACING, HEARD, ARRIVED, WIDTH, AT_X, AT_Y, TURNED = 0, 1, 4, 7, 10, 13, 14, 15, 16
-COLUMNS = 19
-
-# Rows of the table of what they receive: of HEARD, ARRIVED and TURNED, and of normals, weighted as HEARD
-SUM_HEARD, SUM_ARRIVED, SUM_TURNED, SUM_FACING = 0, 3, 6, 9
-SUMS = 12
 
 MOST_TURN = 1.0  # of what arrives: by how much it may change from the mean normal to a fragment's
 
@@ -130,13 +138,13 @@ def _join_alike(shares, start, order, near, origin, turn, view, into, begin, tab
                         facing += table[FACING + c, g] * shares.normal[k, c]
                     change = math.sqrt(dx * dx + dy * dy + dz * dz) * nearness
                     change += turn * math.sqrt(max(np.float32(1) - facing, np.float32(0)))
-                    if change + abs(table[WIDTH, g] - width) < ALIKE * ERROR * width:
+                    if change + abs(table[ANGLE, g] - width) < ALIKE * ERROR * width:
                         found = np.int64(g)
                         break
                 into[s] = found
                 if found == n:
                     n += 1
-                    table[NEARNESS, found], table[WIDTH, found] = nearness, width
+                    table[NEARNESS, found], table[ANGLE, found] = nearness, width
                     table[AT_X, found], table[AT_Y, found] = i, j
                     table[PLACE, found], table[PLACE + 1, found], table[PLACE + 2, found] = x, y, z
                     for c in range(3):
@@ -152,78 +160,6 @@ def _join_alike(shares, start, order, near, origin, turn, view, into, begin, tab
                         )
         begin[j, columns] = n
     return n
-
-
-@device
-def _take_band(table, begin, low, high, row, column, own, band):
-    """Copy rows of cones low..high of a table to `band`, column by column: cones side by side are one run of it.
-
-    column (columns + 1,) int64: where columns begin; own (columns,): where those of `row` do.
-    """
-    n = np.int64(0)
-    for i in range(len(own)):
-        column[i] = n
-        for q in range(low, high):
-            if q == row:
-                own[i] = n
-            for s in range(begin[q, i], begin[q, i + 1]):
-                for c in range(COLUMNS):
-                    band[c, n] = table[c, s]
-                n += 1
-    column[len(own)] = n
-
-
-@summed
-def _received_about(band, first, end, s, falloff, turn, sums):
-    """sums (SUMS,) float32: what the rows first..end of a band say together, as far as s shares theirs."""
-    near = band[NEARNESS, s]
-    px, py, pz = band[PLACE, s], band[PLACE + 1, s], band[PLACE + 2, s]
-    nx, ny, nz = band[FACING, s], band[FACING + 1, s], band[FACING + 2, s]
-    nothing, one = np.float32(0), np.float32(1)
-    width = band[WIDTH, s]
-    narrow = one / max(np.float32(ERROR) * width, np.float32(1e-12))
-    u, v, w, r, g, b = nothing, nothing, nothing, nothing, nothing, nothing
-    mx, my, mz, tx, ty, tz = nothing, nothing, nothing, nothing, nothing, nothing
-    for k in range(end - first):
-        t = first + np.uint64(k)
-        dx, dy, dz = band[PLACE, t] - px, band[PLACE + 1, t] - py, band[PLACE + 2, t] - pz
-        facing = band[FACING, t] * nx + band[FACING + 1, t] * ny + band[FACING + 2, t] * nz
-        change = np.sqrt(dx * dx + dy * dy + dz * dz) * max(near, band[NEARNESS, t])
-        change += turn * np.sqrt(max(one - facing, nothing))
-        change += abs(band[WIDTH, t] - width)
-        i, j = band[AT_X, t] - band[AT_X, s], band[AT_Y, t] - band[AT_Y, s]
-        weight = max(one - change * narrow, nothing) * max(one - (i * i + j * j) * falloff, nothing)
-        weight = one if t == s else weight
-        u += weight * band[HEARD, t]
-        v += weight * band[HEARD + 1, t]
-        w += weight * band[HEARD + 2, t]
-        r += weight * band[ARRIVED, t]
-        g += weight * band[ARRIVED + 1, t]
-        b += weight * band[ARRIVED + 2, t]
-        heard = weight * (band[HEARD, t] + band[HEARD + 1, t] + band[HEARD + 2, t])
-        mx += heard * band[FACING, t]
-        my += heard * band[FACING + 1, t]
-        mz += heard * band[FACING + 2, t]
-        tx += weight * band[TURNED, t]
-        ty += weight * band[TURNED + 1, t]
-        tz += weight * band[TURNED + 2, t]
-    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = u, v, w, r, g, b
-    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = tx, ty, tz, mx, my, mz
-
-
-@uncounted
-def _receive(table, begin, wide, turn, column, own, band, sums, received):
-    """received (SUMS, F) float32: what rows of a table receive together, within `wide` cones; others: _take_band."""
-    rows, columns = begin.shape[0], begin.shape[1] - 1
-    falloff = np.float32(1.0 / (wide + 1.0) ** 2)
-    for j in range(rows):
-        _take_band(table, begin, max(j - wide, 0), min(j + wide + 1, rows), j, column, own, band)
-        for i in range(columns):
-            first, end = np.uint64(column[max(i - wide, 0)]), np.uint64(column[min(i + wide + 1, columns)])
-            for s in range(begin[j, i], begin[j, i + 1]):
-                _received_about(band, first, end, np.uint64(own[i] + s - begin[j, i]), falloff, turn, sums)
-                for c in range(SUMS):
-                    received[c, s] = sums[c]
 
 
 @device
@@ -270,10 +206,6 @@ def share_light(x, y, cone: int, change: Change, shares: Shares, count: int, sha
     made = _join_alike(
         shares, start, order, near, eye, np.float32(change.turn), np.float32(change.view), into, begin, table
     )
-    most = int(np.convolve(begin[:, -1] - begin[:, 0], np.ones(2 * REACH + 1, np.int64)).max())
     received = np.empty((SUMS, made), np.float32)
-    _receive(
-        table, begin, np.int64(REACH), np.float32(change.turn), np.empty(columns + 1, np.int64),
-        np.empty(columns, np.int64), np.empty((COLUMNS, most), np.float32), np.empty(SUMS, np.float32), received,
-    )  # fmt: skip
+    receive(table[:, :made], begin, np.int64(REACH), np.float32(change.turn), np.float32(ERROR), received)
     _add_received(shares, order, into, total, received, out)
