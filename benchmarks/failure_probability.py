@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pointmr_engine.forward.cut_outs import no_cut_outs
-from pointmr_engine.forward.dynamic import PointScratch, sample_tile
-from pointmr_engine.forward.point_draws import World
+from pointmr_engine.forward.drawing.cut_outs import no_cut_outs
+from pointmr_engine.forward.drawing.subpixels import allocate_target, clear, make_view
 from pointmr_engine.forward.points_method import make_draws
-from pointmr_engine.forward.sample_count import points_per_pixel
-from pointmr_engine.forward.subpixels import allocate_target, clear, make_view
+from pointmr_engine.forward.selection.dynamic import PointScratch, sample_tile
+from pointmr_engine.forward.selection.point_draws import World
+from pointmr_engine.forward.selection.sample_count import points_per_pixel
 from pointmr_engine.hierarchy.acceleration import build_acceleration
 from pointmr_engine.hierarchy.distribution import build_distribution
 from pointmr_engine.hierarchy.geometry import compile_geometry
@@ -143,7 +143,7 @@ def main() -> None:
         "are covered by one surface alone and count).",
         "A hole is a pixel without a point, or with none on the surface that all of 16 rays through it hit;",
         "counted before anything is drawn again.",
-        "f is what the density promises at most for all pixels together (`forward/sample_count.py`).",
+        "f is what the density promises at most for all pixels together (`forward/selection/sample_count.py`).",
         "",
         "| draws | f | points per pixel of area | drawn per pixel | images with a hole | holes per 1000 images |",
         "|---|---|---|---|---|---|",

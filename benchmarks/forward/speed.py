@@ -71,7 +71,7 @@ COUNTED = ("nodes", "hidden", "sets", "surfels", "triangles", "instances", "poin
 
 def baker(geometry):
     """What looks up materials for sample sets, without the rest of a render."""
-    from pointmr_engine.forward.baking import Baker
+    from pointmr_engine.forward.baked.baking import Baker
     from pointmr_engine.scene.material import Material
 
     plain = Material("no material")

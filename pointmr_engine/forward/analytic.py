@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.draw import Entries
-from pointmr_engine.forward.polygon_cover import (
+from pointmr_engine.forward.drawing.draw import Entries
+from pointmr_engine.forward.drawing.polygon_cover import (
     CORNERS,
     LEAST,
     Shares,
@@ -21,8 +21,8 @@ from pointmr_engine.forward.polygon_cover import (
     hiding_pieces,
     show_polygons,
 )
+from pointmr_engine.forward.selection.view_triangles import view_triangles
 from pointmr_engine.forward.tiles import Workspace
-from pointmr_engine.forward.view_triangles import view_triangles
 from pointmr_engine.scene.errors import SceneError
 
 TRIANGLES = 20_000  # in view, at most

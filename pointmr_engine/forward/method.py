@@ -12,16 +12,16 @@ from functools import cached_property
 
 import numpy as np
 
-from pointmr_engine.forward import scattered
-from pointmr_engine.forward.baking import Baker
-from pointmr_engine.forward.cut_outs import build_cut_outs
-from pointmr_engine.forward.emissive_lamps import emissive_lamps
-from pointmr_engine.forward.lambert import SimpleShading
-from pointmr_engine.forward.pixel_filter import filter_taps
-from pointmr_engine.forward.subpixels import make_view
+from pointmr_engine.forward.baked.baking import Baker
+from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
+from pointmr_engine.forward.drawing.subpixels import make_view
+from pointmr_engine.forward.reconstruction import scattered
+from pointmr_engine.forward.reconstruction.pixel_filter import filter_taps
+from pointmr_engine.forward.selection.walk import HARDLY, Hierarchy
+from pointmr_engine.forward.shading.emissive_lamps import emissive_lamps
+from pointmr_engine.forward.shading.lambert import SimpleShading
+from pointmr_engine.forward.shading.world_light import WorldLight
 from pointmr_engine.forward.tiles import TILE, WIDE_TILE, Workspace
-from pointmr_engine.forward.walk import HARDLY, Hierarchy
-from pointmr_engine.forward.world_light import WorldLight
 from pointmr_engine.hierarchy.distribution import Distribution, build_distribution
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.octree import build_octree, triangle_corners
@@ -52,7 +52,7 @@ class Sampler:
         self.ambient = self.world_light.mean
         self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_light.ConeLight)
         self.lights = None  # by cone_light.sampled_lights, where lights of the scene are left to chance
-        self.micromap = None  # by multires.opacity_micromap, when shadow rays first pass surfaces
+        self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
         self.sets: dict[tuple, SampleSets] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
@@ -148,7 +148,7 @@ class Image:
         """What lights the image's fragments: an object with shade(workspace, hierarchy, number of fragments)."""
         if self.settings.forward.shading == "simple":
             return SimpleShading(self)
-        from pointmr_engine.forward.materials import FullShading
+        from pointmr_engine.forward.shading.materials import FullShading
 
         return FullShading(self)
 

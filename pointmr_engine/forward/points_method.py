@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.dynamic import PointScratch, sample_tile
-from pointmr_engine.forward.holes import holes
-from pointmr_engine.forward.point_draws import Draws, World
-from pointmr_engine.forward.sample_count import hole_probability, points_per_pixel
+from pointmr_engine.forward.reconstruction.holes import holes
+from pointmr_engine.forward.selection.dynamic import PointScratch, sample_tile
+from pointmr_engine.forward.selection.point_draws import Draws, World
+from pointmr_engine.forward.selection.sample_count import hole_probability, points_per_pixel
 from pointmr_engine.forward.tiles import Workspace
 
 AGAIN = 2  # times that missing pixels are sampled again at most: many are gaps that the scene has

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.baking import materials_of
-from pointmr_engine.forward.fragments import (
+from pointmr_engine.forward.baked.baking import materials_of
+from pointmr_engine.forward.drawing.subpixels import allocate_target, beyond, clear, close_gaps, gap_limits
+from pointmr_engine.forward.reconstruction.fragments import (
     allocate_fragments,
     fill_fragments,
     fill_normal_matrices,
     find_fragments,
 )
-from pointmr_engine.forward.leaks import close_leaks
-from pointmr_engine.forward.pixel_filter import NO_SLOPES, Slopes, filter_tile
-from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
-from pointmr_engine.forward.scattered import add_empty, add_fragments, count_shown, divide
-from pointmr_engine.forward.shadow_map import ShadowMaps
-from pointmr_engine.forward.subpixels import allocate_target, beyond, clear, close_gaps, gap_limits
-from pointmr_engine.forward.walk import WAITING, Hierarchy, Scratch, walk
+from pointmr_engine.forward.reconstruction.leaks import close_leaks
+from pointmr_engine.forward.reconstruction.pixel_filter import NO_SLOPES, Slopes, filter_tile
+from pointmr_engine.forward.reconstruction.scattered import add_empty, add_fragments, count_shown, divide
+from pointmr_engine.forward.selection.walk import WAITING, Hierarchy, Scratch, walk
+from pointmr_engine.forward.shading.placement_values import allocate_placement_values, combine_placements
+from pointmr_engine.forward.shading.shadow_map import ShadowMaps
 from pointmr_engine.image.frame import NOTHING, Frame
 from pointmr_engine.scene.group import CAMERA
 

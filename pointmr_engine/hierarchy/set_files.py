@@ -26,7 +26,7 @@ from pointmr_engine.scene.group import CAMERA
 
 FORMAT = 1  # to be raised when files get another layout
 # code that decides what sets hold
-_DECIDING = ("hierarchy", "shading", "numerics", "scene", "forward/baking.py")
+_DECIDING = ("hierarchy", "shading", "numerics", "scene", "forward/baked/baking.py")
 _CONSTANTS = ("CHAIN", "DIVISIONS", "LEAF_TRIANGLES", "SPACING", "KEPT_POINTS", "INSTANCE_SIZE")
 
 

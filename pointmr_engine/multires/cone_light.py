@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from pointmr_engine.hierarchy.prefilter import prefilter
-from pointmr_engine.multires.cone_walk import visible
-from pointmr_engine.multires.cones import Cones
-from pointmr_engine.multires.lens import sharpest
-from pointmr_engine.multires.world_rays import WORTH
+from pointmr_engine.multires.cones.cone_walk import visible
+from pointmr_engine.multires.cones.cones import Cones
+from pointmr_engine.multires.lens.lens import sharpest
+from pointmr_engine.multires.sharing.world_rays import WORTH
 from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SPOT, SUN, TAN_SPREAD, compile_lamps

@@ -2,7 +2,7 @@
 merged into surfaces, and each of those sends its own cones on.
 
 The primary cones of a tile resolve visibility per subpixel, 8 x 8 of them in a cone, from samples a sixth of a
-footprint apart (forward/walk.py): the hierarchy is walked once for all of them.
+footprint apart (forward/selection/walk.py): the hierarchy is walked once for all of them.
 """
 
 from __future__ import annotations
@@ -12,21 +12,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from pointmr_engine.forward.baking import materials_of
-from pointmr_engine.forward.fragment_surfaces import NO_EYES
+from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.method import Image
-from pointmr_engine.forward.pixel_filter import Slopes, allocate_slopes
+from pointmr_engine.forward.reconstruction.pixel_filter import Slopes, allocate_slopes
+from pointmr_engine.forward.shading.fragment_surfaces import NO_EYES
 from pointmr_engine.forward.tiles import Workspace
 from pointmr_engine.multires.cone_light import ConeLight
-from pointmr_engine.multires.cone_paths import ConePaths
-from pointmr_engine.multires.fragment_paths import BATCH, FragmentPaths
-from pointmr_engine.multires.light_sharing import REACH
-from pointmr_engine.multires.looks import look_where_seen
-from pointmr_engine.multires.merge import choose_seen, merge_fragments, renumber, thin_margin
-from pointmr_engine.multires.opacity_micromap import with_micromap
-from pointmr_engine.multires.representatives import bring_forward, choose_representatives, lend_light
-from pointmr_engine.multires.slopes import COLUMNS, find_slopes
-from pointmr_engine.multires.texture_slopes import take_texture_slopes
+from pointmr_engine.multires.cones.opacity_micromap import with_micromap
+from pointmr_engine.multires.fragments.looks import look_where_seen
+from pointmr_engine.multires.fragments.merge import choose_seen, merge_fragments, renumber, thin_margin
+from pointmr_engine.multires.fragments.representatives import (
+    bring_forward,
+    choose_representatives,
+    lend_light,
+)
+from pointmr_engine.multires.fragments.slopes import COLUMNS, find_slopes
+from pointmr_engine.multires.fragments.texture_slopes import take_texture_slopes
+from pointmr_engine.multires.paths.cone_paths import ConePaths
+from pointmr_engine.multires.paths.fragment_paths import BATCH, FragmentPaths
+from pointmr_engine.multires.sharing.light_sharing import REACH
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -76,13 +80,13 @@ class TracedImage(Image):
         self.shining = stage.lights.shining(len(sampler.geometry.materials) + 1)
         self.tile = max(WIDTH // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
-        self.views: list = []  # from points of the lens (multires.lens.LensView); none: a pinhole is enough
+        self.views: list = []  # from points of the lens (multires.lens.lens.LensView); none: a pinhole is enough
         if stage.needs.lens:
-            from pointmr_engine.multires.lens_tiles import split_lens
+            from pointmr_engine.multires.lens.lens_tiles import split_lens
 
             split_lens(self)
         if alpha:
-            from pointmr_engine.multires.alpha_tiles import use_alpha
+            from pointmr_engine.multires.alpha.alpha_tiles import use_alpha
 
             use_alpha(self)
 
@@ -113,7 +117,7 @@ class TracedShading:
         self.image = image
 
     def shade(self, space: TracedTiles, hierarchy, count: int) -> None:
-        """Fill space.light[:count]; see forward.materials.FullShading."""
+        """Fill space.light[:count]; see forward.shading.materials.FullShading."""
         paths, values = self.paths(space), space.placement_values(hierarchy)
         paths.start_tile(space, count)
         for first in range(0, count, BATCH):

@@ -10,9 +10,9 @@ from instanced import Flat, accelerate, nest, random_mesh
 from test_cones import EXACT, blocked, forest, sheet, some_cones
 
 from pointmr_engine.hierarchy.prefilter import prefilter
-from pointmr_engine.multires.cone_hits import Merging, allocate_fragments, gather
-from pointmr_engine.multires.cone_space import Style
-from pointmr_engine.multires.cones import sub_rays
+from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments, gather
+from pointmr_engine.multires.cones.cone_space import Style
+from pointmr_engine.multires.cones.cones import sub_rays
 from pointmr_engine.raytracing import surface, walk
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits, allocate_rays
 from pointmr_engine.scene.group import Group, Instances, instance

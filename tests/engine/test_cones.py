@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from instanced import Flat, accelerate, nest, random_mesh, random_transforms
 
 from pointmr_engine.hierarchy.prefilter import prefilter
-from pointmr_engine.multires.cone_space import Style
-from pointmr_engine.multires.cone_walk import COUNTERS, POINTS, visible
-from pointmr_engine.multires.cones import FULL, Cones, allocate_cones, axes_of, sub_rays
+from pointmr_engine.multires.cones.cone_space import Style
+from pointmr_engine.multires.cones.cone_walk import COUNTERS, POINTS, visible
+from pointmr_engine.multires.cones.cones import FULL, Cones, allocate_cones, axes_of, sub_rays
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
 from pointmr_engine.scene.group import CAMERA, SHADOW, Group, Instances, instance

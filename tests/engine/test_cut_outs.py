@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, render, uniform_world
-from pointmr_engine.forward.cut_outs import build_cut_outs
+from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.mesh import Attribute

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from instanced import nest, random_mesh, random_transforms, sphere
 
-from pointmr_engine.forward.cut_outs import no_cut_outs
-from pointmr_engine.forward.dynamic import PointScratch, sample_tile
-from pointmr_engine.forward.holes import holes
-from pointmr_engine.forward.point_draws import Draws, World
-from pointmr_engine.forward.projection import to_raster
-from pointmr_engine.forward.subpixels import allocate_target, clear, make_view
+from pointmr_engine.forward.drawing.cut_outs import no_cut_outs
+from pointmr_engine.forward.drawing.subpixels import allocate_target, clear, make_view
+from pointmr_engine.forward.reconstruction.holes import holes
+from pointmr_engine.forward.selection.dynamic import PointScratch, sample_tile
+from pointmr_engine.forward.selection.point_draws import Draws, World
+from pointmr_engine.forward.selection.projection import to_raster
 from pointmr_engine.hierarchy.acceleration import build_acceleration
 from pointmr_engine.hierarchy.distribution import build_distribution, draw_points
 from pointmr_engine.hierarchy.dynamic_octree import DynamicOctree

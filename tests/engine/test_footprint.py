@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointmr_engine.multires import footprint
+from pointmr_engine.multires.cones import footprint
 
 seeds = st.integers(0, 2**32 - 1)
 STEP = 1e-6

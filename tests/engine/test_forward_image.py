@@ -20,7 +20,7 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
-from pointmr_engine.forward import walk
+from pointmr_engine.forward.selection import walk
 from pointmr_engine.render import Cache, Cancelled
 from pointmr_engine.scene.group import CAMERA
 from tests.engine.instanced import random_transforms, sphere

@@ -21,9 +21,9 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
-from pointmr_engine.forward.placement_values import allocate_placement_values, combine_placements
-from pointmr_engine.forward.transforms import allocate_transforms, compose, compose_root
-from pointmr_engine.forward.world_light import WorldLight
+from pointmr_engine.forward.drawing.transforms import allocate_transforms, compose, compose_root
+from pointmr_engine.forward.shading.placement_values import allocate_placement_values, combine_placements
+from pointmr_engine.forward.shading.world_light import WorldLight
 from pointmr_engine.hierarchy.octree import build_octree
 from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.scene.graph import Graph, Link, Node

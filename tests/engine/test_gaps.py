@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointmr_engine.forward.subpixels import View, allocate_target, clear, close_gaps, gap_limits
+from pointmr_engine.forward.drawing.subpixels import View, allocate_target, clear, close_gaps, gap_limits
 
 SIDE = 16
 SURFEL, CLUMP, TRIANGLE = 0, 1, 2  # entries

@@ -6,8 +6,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine import Light
-from pointmr_engine.multires.cones import allocate_cones
-from pointmr_engine.multires.lamp_cones import ACROSS, ALL, BUMPS, NOTHING, TERMS, lamp_cones, take_shares
+from pointmr_engine.multires.cones.cones import allocate_cones
+from pointmr_engine.multires.cones.lamp_cones import (
+    ACROSS,
+    ALL,
+    BUMPS,
+    NOTHING,
+    TERMS,
+    lamp_cones,
+    take_shares,
+)
 from pointmr_engine.raytracing.lamps import compile_lamps, intersect_lamp
 
 KINDS = {

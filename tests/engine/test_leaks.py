@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Instances, Material, Mesh, RenderSettings, Scene, render, uniform_world
-from pointmr_engine.forward.cut_outs import CutOuts, no_cut_outs
-from pointmr_engine.forward.leaks import close_leaks
+from pointmr_engine.forward.drawing.cut_outs import CutOuts, no_cut_outs
+from pointmr_engine.forward.reconstruction.leaks import close_leaks
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.instanced import random_transforms
 from tests.engine.small_scenes import from_above

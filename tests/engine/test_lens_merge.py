@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.forward.pixel_filter import NO_SLOPES, allocate_slopes
-from pointmr_engine.multires.lens_merge import VIEW, light_where_seen, merge_views
+from pointmr_engine.forward.reconstruction.pixel_filter import NO_SLOPES, allocate_slopes
+from pointmr_engine.multires.lens.lens_merge import VIEW, light_where_seen, merge_views
 from tests.engine.test_raytrace_parts import fragments
 
 CELLS = 40  # of one view

@@ -18,7 +18,7 @@ from pointmr_engine import (
     uniform_world,
 )
 from pointmr_engine.multires.cone_light import ConeLight
-from pointmr_engine.multires.light_shares import (
+from pointmr_engine.multires.sharing.light_shares import (
     MOVE_OF_LOBE,
     allocate_shares,
     count_lobe_rays,
@@ -26,7 +26,7 @@ from pointmr_engine.multires.light_shares import (
     take_reflected,
     take_turns,
 )
-from pointmr_engine.multires.light_sharing import OF_LOBE, OF_WORLD, REACH, share_light
+from pointmr_engine.multires.sharing.light_sharing import OF_LOBE, OF_WORLD, REACH, share_light
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import at, from_above, half_a_sky, quad

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Light, Material, RenderSettings, Scene, principled, render, uniform_world
-from pointmr_engine.forward.cut_outs import build_cut_outs
+from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
 from pointmr_engine.hierarchy.acceleration import build_acceleration, set_clear, set_opaque
 from pointmr_engine.hierarchy.geometry import compile_geometry
-from pointmr_engine.multires import opacity_micromap
-from pointmr_engine.multires.opacity_micromap import CLEAR, build_micromap, surely
+from pointmr_engine.multires.cones import opacity_micromap
+from pointmr_engine.multires.cones.opacity_micromap import CLEAR, build_micromap, surely
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import points_at

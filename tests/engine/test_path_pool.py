@@ -8,10 +8,11 @@ import pytest
 from benchmarks.closed_forms import curved_mirror
 from benchmarks.closed_forms.stage import mirror
 from pointmr_engine import RenderSettings, Scene, principled, render
-from pointmr_engine.multires import cone_paths, fragment_paths, method
-from pointmr_engine.multires.cones import allocate_cones
-from pointmr_engine.multires.lobe_view import allocate_lobe_cones
-from pointmr_engine.multires.path_pool import PathPool
+from pointmr_engine.multires import method
+from pointmr_engine.multires.cones.cones import allocate_cones
+from pointmr_engine.multires.lobes.lobe_view import allocate_lobe_cones
+from pointmr_engine.multires.paths import cone_paths, fragment_paths
+from pointmr_engine.multires.paths.path_pool import PathPool
 from pointmr_engine.raytracing.paths import allocate_paths
 from pointmr_engine.scene.settings import RaytraceSettings
 from tests.engine.small_scenes import lit_floor

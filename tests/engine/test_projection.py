@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointmr_engine.forward import projection as pr
-from pointmr_engine.forward.sample_count import hole_probability, points_per_pixel, random_count
-from pointmr_engine.forward.subpixels import make_view
+from pointmr_engine.forward.drawing.subpixels import make_view
+from pointmr_engine.forward.selection import projection as pr
+from pointmr_engine.forward.selection.sample_count import hole_probability, points_per_pixel, random_count
 from pointmr_engine.raytracing.camera import compile_camera
 from pointmr_engine.scene.camera import Camera
 from pointmr_engine.scene.settings import RenderSettings

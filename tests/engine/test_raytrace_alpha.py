@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Mesh, RenderSettings, Scene, emission, principled, render, uniform_world
-from pointmr_engine.forward.fragments import allocate_fragments
-from pointmr_engine.forward.surfel_lanes import REACH
-from pointmr_engine.forward.targets import put_ellipse, put_triangle
+from pointmr_engine.forward.drawing.surfel_lanes import REACH
+from pointmr_engine.forward.drawing.targets import put_ellipse, put_triangle
+from pointmr_engine.forward.reconstruction.fragments import allocate_fragments
 from pointmr_engine.image.filters import filter_weight
-from pointmr_engine.multires.a_buffer import LINES, ROOM, allocate_layers
-from pointmr_engine.multires.alpha_tiles import cell_taps, find_layers
-from pointmr_engine.multires.layer_shapes import SIGMA
+from pointmr_engine.multires.alpha.a_buffer import LINES, ROOM, allocate_layers
+from pointmr_engine.multires.alpha.alpha_tiles import cell_taps, find_layers
+from pointmr_engine.multires.alpha.layer_shapes import SIGMA
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.settings import RaytraceSettings

@@ -22,8 +22,9 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
-from pointmr_engine.forward.subpixels import make_view
-from pointmr_engine.multires.lens import (
+from pointmr_engine.forward.drawing.subpixels import make_view
+from pointmr_engine.multires.fragments.looks import look_through_lens
+from pointmr_engine.multires.lens.lens import (
     confusion,
     lens_points,
     lens_rays,
@@ -31,7 +32,6 @@ from pointmr_engine.multires.lens import (
     sharpest,
     views_per_side,
 )
-from pointmr_engine.multires.looks import look_through_lens
 from pointmr_engine.raytracing.camera import compile_camera
 from pointmr_engine.raytracing.rays import allocate_rays
 from pointmr_engine.scene.graph import Graph, Link, Node

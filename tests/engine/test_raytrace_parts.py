@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from pointmr_engine.forward.fragments import Fragments, allocate_fragments
-from pointmr_engine.multires.cones import allocate_cones, sub_rays
-from pointmr_engine.multires.lobe_view import allocate_lobe_cones, weigh_sub_rays
-from pointmr_engine.multires.merge import merge_fragments
-from pointmr_engine.multires.scatter import CORE, REST, WIDE, WIDEST
+from pointmr_engine.forward.reconstruction.fragments import Fragments, allocate_fragments
+from pointmr_engine.multires.cones.cones import allocate_cones, sub_rays
+from pointmr_engine.multires.fragments.merge import merge_fragments
+from pointmr_engine.multires.lobes.lobe_view import allocate_lobe_cones, weigh_sub_rays
+from pointmr_engine.multires.lobes.scatter import CORE, REST, WIDE, WIDEST
 
 # Merging
 

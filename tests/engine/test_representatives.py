@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pointmr_engine import Camera, Group, Light, Material, Mesh, RenderSettings, Scene, render, uniform_world
-from pointmr_engine.forward.fragments import allocate_fragments
-from pointmr_engine.multires.representatives import (
+from pointmr_engine.forward.reconstruction.fragments import allocate_fragments
+from pointmr_engine.multires.fragments.representatives import (
     RUN,
     bring_forward,
     choose_representatives,

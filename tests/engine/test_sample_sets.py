@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Mesh, Scene, emission, principled
-from pointmr_engine.forward.baking import Baker
+from pointmr_engine.forward.baked.baking import Baker
 from pointmr_engine.hierarchy import sample_sets
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.hierarchy.octree import CHAIN, build_octree

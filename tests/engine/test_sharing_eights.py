@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.multires.sharing_eights import allocate_eights, gather_eights, receive
-from pointmr_engine.multires.sharing_lanes import (
+from pointmr_engine.multires.sharing.sharing_eights import allocate_eights, gather_eights, receive
+from pointmr_engine.multires.sharing.sharing_lanes import (
     ANGLE,
     ARRIVED,
     AT_X,

@@ -5,10 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.forward.pixel_filter import NO_SLOPES, allocate_slopes, filter_taps, filter_tile
-from pointmr_engine.forward.subpixels import View
-from pointmr_engine.multires.slopes import COLUMNS, ROOM, find_slopes
-from pointmr_engine.multires.texture_slopes import slopes_in_image, take_texture_slopes
+from pointmr_engine.forward.drawing.subpixels import View
+from pointmr_engine.forward.reconstruction.pixel_filter import (
+    NO_SLOPES,
+    allocate_slopes,
+    filter_taps,
+    filter_tile,
+)
+from pointmr_engine.multires.fragments.slopes import COLUMNS, ROOM, find_slopes
+from pointmr_engine.multires.fragments.texture_slopes import slopes_in_image, take_texture_slopes
 from pointmr_engine.shading.footprint_slopes import allocate_texture_slopes
 from tests.engine.test_raytrace_parts import fragments
 

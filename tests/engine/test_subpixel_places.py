@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.forward.cut_out_cover import cover_cut_out
-from pointmr_engine.forward.pixel_filter import filter_taps
-from pointmr_engine.forward.subpixel_places import INNER, subpixel_places
-from pointmr_engine.forward.subpixels import allocate_target, clear, cover_ellipse, cover_triangle
+from pointmr_engine.forward.drawing.cut_out_cover import cover_cut_out
+from pointmr_engine.forward.drawing.subpixel_places import INNER, subpixel_places
+from pointmr_engine.forward.drawing.subpixels import allocate_target, clear, cover_ellipse, cover_triangle
+from pointmr_engine.forward.reconstruction.pixel_filter import filter_taps
 from pointmr_engine.numerics.jit import uncounted
 
 SIDE = 48

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointmr_engine.forward.fragments import allocate_fragments
-from pointmr_engine.multires.fragment_paths import TOGETHER, count_in_pixels, number_samples
-from pointmr_engine.multires.merge import thin_margin
+from pointmr_engine.forward.reconstruction.fragments import allocate_fragments
+from pointmr_engine.multires.fragments.merge import thin_margin
+from pointmr_engine.multires.paths.fragment_paths import TOGETHER, count_in_pixels, number_samples
 from pointmr_engine.numerics.rng import sample_2d
 from pointmr_engine.numerics.sobol import sobol_tables
 from pointmr_engine.raytracing.paths import allocate_samples

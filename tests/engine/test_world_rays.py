@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.multires.light_shares import allocate_shares
-from pointmr_engine.multires.light_sharing import OF_WORLD
-from pointmr_engine.multires.world_rays import (
+from pointmr_engine.multires.sharing.light_shares import allocate_shares
+from pointmr_engine.multires.sharing.light_sharing import OF_WORLD
+from pointmr_engine.multires.sharing.world_rays import (
     MOST,
     MOST_PEERS,
     PEER_SUMS,

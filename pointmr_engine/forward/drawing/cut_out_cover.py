@@ -1,0 +1,171 @@
+"""Drawing triangles with holes into a tile's subpixels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.forward.baked.opacity_lattice import sample_place
+from pointmr_engine.forward.drawing.subpixel_places import INNER, place_of
+from pointmr_engine.numerics.hashing import hash_u32
+from pointmr_engine.numerics.jit import device, uncounted
+
+OPAQUE = 192  # of 255: from here on a sample counts as opaque
+SURE = 0.75  # of a cell's opacity: a place in it that is less opaque lies in a hole between the samples
+EDGE = 1e-12  # barycentric: what is so near an edge belongs to the triangles on both sides
+NARROW = np.float32(0.05)  # of a pixel: footprints of looks at triangles with holes
+
+
+@device
+def cut_out_of(cut_outs, part, triangle):
+    """Row of the opacity of a part's triangle, -1 if it is opaque."""
+    first = cut_outs.first[part]
+    if first < 0:
+        return np.int64(-1)
+    return np.int64(cut_outs.mask[first + triangle])
+
+
+@device
+def cell_of(u, v, side):
+    """(p, q): the cell of barycentric weights u, v of vertices 1 and 2."""
+    p = min(max(np.int64(u * side), np.int64(0)), side - 1)
+    return p, min(max(np.int64(v * side), np.int64(0)), side - 1)
+
+
+@device
+def opacity_at(cut_outs, mask, u, v):
+    """Opacity, of 255, at barycentric weights u and v of vertices 1 and 2."""
+    p, q = cell_of(u, v, cut_outs.opacity.shape[1])
+    return np.float64(cut_outs.opacity[mask, q, p])
+
+
+@device
+def _order_at(key, i, j, front):
+    """(place of the first row of an order in Target.pattern, what x and y are turned by), of the block of (i, j).
+
+    Chosen anew in every block, lest two triangles that share one do so throughout; never the same for fronts and backs,
+    which are the two sides of a pane.
+    """
+    h = hash_u32(np.uint32(key) ^ hash_u32(np.uint32(((j >> 3) << 16) + (i >> 3))))
+    order = np.int64(h >> np.uint32(6)) & 6
+    if front:
+        order += 1
+    return 8 * order, np.int64(h) & 7, np.int64(h >> np.uint32(3)) & 7
+
+
+@device
+def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, key):
+    """Draw a triangle as subpixels.cover_triangle does, but where opacity[mask] leaves holes; whether anything was
+    written.
+
+    x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective; key: number of the triangle.
+    """
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+    if area == 0.0 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:
+        return False
+    inverse = 1.0 / area
+    side = opacity.shape[1]
+    low, high = min(y[0], y[1], y[2]), max(y[0], y[1], y[2])
+    left, right = min(x[0], x[1], x[2]), max(x[0], x[1], x[2])
+    if high < INNER or right < INNER:
+        return False
+    y0, x0 = np.int64(max(low + INNER, 0.0)), np.int64(max(left + INNER, 0.0))
+    y1, x1 = np.int64(min(high - INNER, height - 1.0)), np.int64(min(right - INNER, width - 1.0))
+    written = False
+    for j in range(y0, y1 + 1):
+        row = turn_x = turn_y = np.int64(0)
+        for i in range(x0, x1 + 1):
+            if i == x0 or i & 7 == 0:
+                row, turn_x, turn_y = _order_at(key, i, j, area > 0.0)
+            xc, yc = place_of(target.shift, i, j)
+            b1 = ((xc - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (yc - y[0])) * inverse
+            b2 = ((x[1] - x[0]) * (yc - y[0]) - (xc - x[0]) * (y[1] - y[0])) * inverse
+            if b1 < -EDGE or b2 < -EDGE or b1 + b2 > 1.0 + EDGE:
+                continue
+            nearness = w[0] + b1 * (w[1] - w[0]) + b2 * (w[2] - w[0])
+            if not nearness > target.depth[j, i]:
+                continue
+            u, v = b1, b2
+            if perspective:
+                u, v = b1 * w[1] / nearness, b2 * w[2] / nearness
+            p, q = cell_of(u, v, side)
+            if opacity[mask, q, p] > 255.0 * target.pattern[row + ((j ^ turn_y) & 7), (i ^ turn_x) & 7]:
+                target.depth[j, i] = nearness
+                target.ids[j, i] = entry
+                written = True
+    return written
+
+
+@uncounted
+def move_to_opaque(cut_outs, fragments, first, count):
+    """Move the places of fragments first..first + count, where their cells are clear, to the sample of the nearest cell
+    that is opaque; where none is, of the nearest of the least transparent ones. fragments: Fragments.
+    """
+    side = cut_outs.opacity.shape[1]
+    for k in range(first, first + count):
+        mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
+        if mask < 0:
+            continue
+        u, v = np.float64(fragments.place[k, 0]) * side, np.float64(fragments.place[k, 1]) * side
+        i, j = min(np.int64(u), side - 1), min(np.int64(v), side - 1)
+        if cut_outs.opacity[mask, j, i] >= OPAQUE:
+            continue
+        most, best, bi, bj = np.int64(-1), math.inf, i, j
+        for q in range(side):
+            for p in range(side - q):
+                opacity = min(np.int64(cut_outs.opacity[mask, q, p]), OPAQUE)
+                if opacity >= most:
+                    dx, dy = p + 1.0 / 3.0 - u, q + 1.0 / 3.0 - v
+                    d = dx * dx + dy * dy
+                    if opacity > most or d < best:
+                        most, best, bi, bj = opacity, d, p, q
+        if best < math.inf:
+            fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, bi, bj, side)
+
+
+@uncounted
+def with_holes(cut_outs, fragments, first, count, out):
+    """Write those of the fragments first..first + count that are of triangles with holes to out (count,); how many."""
+    n = np.int64(0)
+    for k in range(first, first + count):
+        if cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k])) >= 0:
+            out[n] = k
+            n += 1
+    return n
+
+
+@uncounted
+def move_to_samples(cut_outs, fragments, rows, opacity):
+    """Move the places of the fragments `rows` (n,) int64 to the samples of their cells, where they are much less opaque
+    than these: opacity (n,) at the places, 0..1."""
+    side = cut_outs.opacity.shape[1]
+    for n in range(len(rows)):
+        k = rows[n]
+        mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
+        u, v = np.float64(fragments.place[k, 0]), np.float64(fragments.place[k, 1])
+        if opacity[n] * 255.0 < SURE * opacity_at(cut_outs, mask, u, v):
+            p, q = cell_of(u, v, side)
+            fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
+
+
+@uncounted
+def narrow_looks(cut_outs, fragments, first, count, width):
+    """Shrink the footprints width (N,) float32 of fragments with holes, so that their colour is not mixed with a
+    hole's."""
+    for k in range(count):
+        part, triangle = np.int64(fragments.part[first + k]), np.int64(fragments.triangle[first + k])
+        if cut_out_of(cut_outs, part, triangle) >= 0:
+            width[k] *= NARROW
+
+
+@uncounted
+def let_through(cut_outs, fragments, first, count, out):
+    """out (N,) float32: the share that coverage lets through at the places of fragments first..first + count."""
+    for k in range(count):
+        f = first + k
+        mask = cut_out_of(cut_outs, np.int64(fragments.part[f]), np.int64(fragments.triangle[f]))
+        out[k] = 0.0
+        if mask >= 0:
+            u, v = np.float64(fragments.place[f, 0]), np.float64(fragments.place[f, 1])
+            out[k] = 1.0 - opacity_at(cut_outs, mask, u, v) / 255.0

@@ -1,0 +1,156 @@
+"""Triangles with holes: how opaque their materials are, sampled once over each triangle and tested at every subpixel.
+
+So a leaf on a card hides, and throws the shadow of, its own shape, however many lie behind each other. What is half
+transparent is drawn at a share of its subpixels (ordered dither). Triangles that look the same share their samples
+(`opacity_classes`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.forward.baked.baking import materials_of
+from pointmr_engine.forward.baked.opacity_classes import opacity_classes
+from pointmr_engine.forward.baked.opacity_lattice import lattice
+from pointmr_engine.forward.drawing.cut_out_cover import move_to_opaque, move_to_samples, with_holes
+from pointmr_engine.forward.drawing.draw import draw_triangle, to_target
+from pointmr_engine.forward.drawing.targets import put_cut_out
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.numerics.jit import device
+from pointmr_engine.raytracing.surface import points_at
+
+SAMPLES = 12_000_000  # at most, over all triangles
+FINEST = 64  # samples along a triangle's edge at most
+_CHUNK = 1 << 18
+
+
+class CutOuts(NamedTuple):
+    """Opacity over M different triangles, on lattices of R x R points: (i + j <= R - 1) barycentric weights of
+    vertices 1, 2."""
+
+    first: np.ndarray  # (P,) int64 row of a part's triangle 0 in `mask`, -1: the part is opaque
+    mask: np.ndarray  # (K,) int32 row of `opacity`, -1: the triangle is opaque
+    opacity: np.ndarray  # (M, R, R) uint8; 255: opaque
+
+
+def no_cut_outs(parts: int) -> CutOuts:
+    """Those of `parts` opaque parts."""
+    return CutOuts(np.full(parts, -1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2, 2), np.uint8))
+
+
+def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts]:
+    """The cut-outs of all parts whose materials let light through: by their mean opacity, and by that of the channel
+    that they block most, for methods whose rays pass what goes through the others (Image.choose_cut_outs).
+    """
+    first = np.full(len(geometry.parts), -1, np.int64)
+    masks, sources = [], []
+    total = known = 0
+    for part, mesh in enumerate(geometry.parts):
+        n = len(mesh.triangles)
+        if not n:
+            continue
+        material = part_materials(geometry, part)
+        if all(programs[m].opaque for m in np.unique(material)):
+            continue
+        mask = np.full(n, -1, np.int32)
+        for m in np.unique(material):
+            if programs[m].opaque:
+                continue
+            rows = np.flatnonzero(material == m)
+            opacity_of = partial(_opacity, geometry, programs[m], part)
+            which, inverse = opacity_classes(geometry, part, programs[m].transparency_needs, rows, opacity_of)
+            mask[rows] = known + inverse
+            known += len(which)
+            sources.append((opacity_of, rows[which]))
+        first[part] = total
+        masks.append(mask)
+        total += n
+    side = int(np.clip(math.sqrt(SAMPLES / max(known, 1)), 2, FINEST))
+    opacity = np.empty((2, known, side, side), np.uint8)
+    at = 0
+    for opacity_of, triangles in sources:
+        step = max(1, _CHUNK // (side * side))
+        for start in range(0, len(triangles), step):
+            chosen = triangles[start : start + step]
+            u, v = lattice(side, at + np.arange(len(chosen)))
+            found = opacity_of(np.repeat(chosen, side * side), u.ravel(), v.ravel())
+            found = np.round(found * 255.0).astype(np.uint8).reshape(len(chosen), side, side, 2)
+            opacity[:, at : at + len(chosen)] = np.moveaxis(found, -1, 0)
+            at += len(chosen)
+    mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
+    return CutOuts(first, mask, opacity[0]), CutOuts(first, mask, opacity[1])
+
+
+def part_materials(geometry: Geometry, part: int) -> np.ndarray:
+    """(n,) int32 index of the material of each of a part's triangles."""
+    n = len(geometry.parts[part].triangles)
+    material = np.empty(n, np.int32)
+    materials_of(geometry.tables, np.full(n, part, np.int32), np.arange(n, dtype=np.int32), material)
+    return material
+
+
+def _opacity(
+    geometry: Geometry, program, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
+    """(n, 2) opacity of points of a part's triangles, 0..1: mean, and of the channel that is blocked most."""
+    clear = np.clip(part_transparency(geometry, program, part, triangles, u, v), 0.0, 1.0)
+    return 1.0 - np.stack((clear.mean(1), clear.min(1)), 1)
+
+
+def part_transparency(
+    geometry: Geometry, program, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
+    """(n, 3) share of light that passes points of parts' triangles (n,), in the part's own space."""
+    n = len(triangles)
+    whole = (geometry.tables.first_triangle[part] + triangles).astype(np.int32)
+    points = points_at(
+        geometry, np.broadcast_to(np.int32(part), n), whole,
+        u.astype(np.float32), v.astype(np.float32), np.broadcast_to(np.eye(4)[:3], (n, 3, 4)),
+        program.transparency_needs,
+    )  # fmt: skip
+    return program.transparency(points)
+
+
+def look_where_opaque(
+    geometry: Geometry, programs: list, cut_outs: CutOuts, densest: bool, fragments, first: int, count: int
+) -> None:
+    """Move the places at which fragments first..first + count are shaded out of holes. fragments: Fragments; changes
+    `place`. densest: the cut-outs are those of the channel that is blocked most.
+
+    What is visible of a fragment is opaque; a hole's colour is anybody's guess. Cells of the cut-outs that are opaque
+    at their samples may have holes elsewhere: who is found in one goes to the cell's sample.
+    """
+    first_, count_ = np.int64(first), np.int64(count)
+    move_to_opaque(cut_outs, fragments, first_, count_)
+    rows = np.empty(count, np.int64)
+    rows = rows[: with_holes(cut_outs, fragments, first_, count_, rows)]
+    part, triangle = fragments.part[rows], fragments.triangle[rows]
+    material = np.empty(len(rows), np.int32)
+    materials_of(geometry.tables, part, triangle, material)
+    for m in np.unique(material):
+        program, own = programs[m], np.flatnonzero(material == m)
+        if program.opaque:
+            continue
+        u, v = fragments.place[rows[own]].T
+        clear = part_transparency(geometry, program, part[own], triangle[own], u, v)
+        opacity = 1.0 - np.clip(clear.min(1) if densest else clear.mean(1), 0.0, 1.0)
+        move_to_samples(cut_outs, fragments, rows[own], opacity)
+
+
+@device
+def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_outs, mask, key):
+    """Draw the triangle with corners (3, 3) in camera space where it is opaque; those that the near plane cuts are
+    drawn whole."""
+    if corners[0, 2] < view.near or corners[1, 2] < view.near or corners[2, 2] < view.near:
+        return draw_triangle(view, target, width, height, left, low, corners, entry)
+    x0, y0, w0 = to_target(view, corners[0, 0], corners[0, 1], corners[0, 2])
+    x1, y1, w1 = to_target(view, corners[1, 0], corners[1, 1], corners[1, 2])
+    x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
+    return put_cut_out(
+        target, width, height, view.perspective, (x0 - left, x1 - left, x2 - left), (y0 - low, y1 - low, y2 - low),
+        (w0, w1, w2), entry, cut_outs.opacity, mask, key,
+    )  # fmt: skip

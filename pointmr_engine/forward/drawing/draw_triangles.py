@@ -1,0 +1,88 @@
+"""Triangles that a walk draws as they are: placed eight at a time, then one by one where they can be seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointmr_engine.forward.drawing.cut_out_cover import cut_out_of
+from pointmr_engine.forward.drawing.cut_outs import draw_cut_out
+from pointmr_engine.forward.drawing.draw import box_is_behind, draw_triangle, triangle_to_camera
+from pointmr_engine.forward.drawing.surfel_lanes import (
+    CORNER_FRONT,
+    CORNER_SMALL,
+    CORNER_W,
+    CORNER_X,
+    CORNER_Y,
+    corners_eight,
+)
+from pointmr_engine.forward.drawing.targets import put_triangle
+from pointmr_engine.numerics.jit import device
+from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
+
+
+@device
+def draw_triangles(
+    view, target, width, height, left, low, constants, lanes, address, matrix, row, items, corners, cut_outs, first,
+    last, entries, used, work, small,
+):  # fmt: skip
+    """Draw triangles first..last (items of the octree, no instances) as they are; returns the number of entries then
+    used.
+
+    constants, lanes, address (4,): as for draw.draw_set, and the address of `corners`. items (M, 2) int32 of the
+    octree, corners (M, 9) float32 of all items. work (3, 3) float64. small: subpixels; triangles no larger are one
+    fragment, wherever they are visible.
+    """
+    fw, fh = np.float32(width), np.float32(height)
+    for start in range(first, last, WIDTH):
+        masks = corners_eight(address[3], start, address[1], address[2])
+        inside = (np.int64(1) << min(np.int64(WIDTH), last - start)) - 1
+        mask = masks & inside
+        while mask != 0:
+            k = trailing_zeros(mask)
+            mask &= mask - 1
+            x = (
+                np.float64(lanes[CORNER_X, k]),
+                np.float64(lanes[CORNER_X + 1, k]),
+                np.float64(lanes[CORNER_X + 2, k]),
+            )
+            y = (
+                np.float64(lanes[CORNER_Y, k]),
+                np.float64(lanes[CORNER_Y + 1, k]),
+                np.float64(lanes[CORNER_Y + 2, k]),
+            )
+            hole = cut_out_of(cut_outs, np.int64(items[start + k, 0]), np.int64(items[start + k, 1]))
+            # for what is no larger than the test's steps, drawing is the test
+            if (hole >= 0 or lanes[CORNER_SMALL, k] > WIDTH) and box_is_behind(
+                target, fw, fh, min(x[0], x[1], x[2]), min(y[0], y[1], y[2]), max(x[0], x[1], x[2]),
+                max(y[0], y[1], y[2]), lanes[CORNER_FRONT, k],
+            ):  # fmt: skip
+                continue
+            lump = np.int64(1) if lanes[CORNER_SMALL, k] <= small else np.int64(0)
+            if hole >= 0:
+                triangle_to_camera(matrix, row, corners, start + k, work)
+                if draw_cut_out(
+                    view, target, width, height, left, low, work, used, cut_outs, hole, start + k
+                ):
+                    entries.surfel[used] = -1 - (2 * (start + k) + lump)
+                    entries.row[used] = row
+                    used += 1
+                continue
+            w = (
+                np.float64(lanes[CORNER_W, k]),
+                np.float64(lanes[CORNER_W + 1, k]),
+                np.float64(lanes[CORNER_W + 2, k]),
+            )
+            if put_triangle(target, width, height, x, y, w, used):
+                entries.surfel[used] = -1 - (2 * (start + k) + lump)
+                entries.row[used] = row
+                used += 1
+        mask = (masks >> 8) & inside
+        while mask != 0:
+            k = trailing_zeros(mask)
+            mask &= mask - 1
+            triangle_to_camera(matrix, row, corners, start + k, work)
+            if draw_triangle(view, target, width, height, left, low, work, used):
+                entries.surfel[used] = -1 - 2 * (start + k)
+                entries.row[used] = row
+                used += 1
+    return used

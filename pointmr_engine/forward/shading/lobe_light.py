@@ -1,0 +1,367 @@
+"""Light that the lobes of fragments send to the camera: from lamps by a few fixed points of each, from the world by
+maps.
+
+Nothing is random, so nothing is noisy: a lamp is one point where it looks small, up to sixteen where it is wide and 64
+where a surface sees a part of it, and lobes are widened by the part of the lamp that each point stands for, so that
+sharp highlights keep the lamp's size.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.forward.shading.lamps_in_lobes import (
+    hide_lobes,
+    lamp_in_lobes,
+    narrow_lobes,
+    point_beside_lobes,
+)
+from pointmr_engine.forward.shading.world_light import world_irradiance, world_lobe
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.raytracing.lamps import (
+    AX,
+    AY,
+    AZ,
+    CONE,
+    DISTANT,
+    ELLIPSE,
+    HALF_U,
+    HALF_V,
+    POINT,
+    PX,
+    PY,
+    PZ,
+    RADIUS,
+    RECTANGLE,
+    SUN,
+    UX,
+    UY,
+    UZ,
+    VX,
+    VY,
+    VZ,
+    sample_lamp,
+)
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.shading.bsdf.layout import (
+    ALPHA_X,
+    ALPHA_Y,
+    GLASS,
+    HAS_TRANSMISSION,
+    IOR,
+    KIND_MASK,
+    NORMAL,
+    REFRACTION,
+    SAMPLE,
+    SHEEN,
+    TRANSLUCENT,
+    WEIGHT,
+)
+from pointmr_engine.shading.bsdf.setup import passed_on
+from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
+from pointmr_engine.shading.bsdf.widening import is_glossy, set_roughness
+from pointmr_engine.shading.lobes import evaluate
+
+FOUR, SIXTEEN = 0.05, 0.6  # solid angles (sr) from which a lamp is four or sixteen points ...
+SHARP = 0.005  # ... and from which it is sixteen for lobes that are narrower than the lamp
+# by which points are moved outwards from a lamp's middle, so that their mean square distance from it is the lamp's:
+# of n x n points, n a power of two, by sides of a rectangle and by the concentric mapping of round lamps
+APART = (
+    (1.0, 1.1547, 1.0, 1.0328, 1.0, 1.0, 1.0, 1.0079),
+    (1.0, 1.4142, 1.0, 1.069, 1.0, 1.0, 1.0, 1.016),
+)
+_GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
+
+
+@device
+def _widen(lobes, i, alpha, extra):
+    """Give the microfacet lobes of point i their roughness `alpha` (n, L, 2) and `extra` squared roughness."""
+    for j in range(np.int64(lobes.count[i])):
+        if is_glossy(lobes.kind[i, j]):
+            set_roughness(lobes, i, j, np.float64(alpha[i, j, 0]), np.float64(alpha[i, j, 1]), extra)
+
+
+@uncounted
+def widen_by_normals(lobes, spread, alpha, count):
+    """Widen the microfacet lobes of points 0..count by the variance of their pieces' slopes; alpha keeps the result.
+
+    Half vectors vary as the normals do, and a Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
+    """
+    for i in range(count):
+        for j in range(np.int64(lobes.count[i])):
+            alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
+            alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]
+        if spread[i] > 0.0:
+            _widen(lobes, i, alpha, 2.0 * np.float64(spread[i]))
+            for j in range(np.int64(lobes.count[i])):
+                alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
+                alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]
+
+
+@uncounted
+def widen_more(lobes, spread, times, alpha, count):
+    """Widen the microfacet lobes of points 0..count from `alpha` on, which stays, by `times` their `spread` (N,) > 0.
+
+    0 times: undo it.
+    """
+    for i in range(count):
+        if spread[i] > 0.0:
+            _widen(lobes, i, alpha, 2.0 * times * np.float64(spread[i]))
+
+
+@device
+def _whole_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive):
+    """(direction to a lamp's middle, solid angle that its radiance fills; 0 for delta lamps, its light): its scale."""
+    shape = lamps.shape[i]
+    dx, dy, dz, _, pdf, scale = sample_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive, 0.5, 0.5)
+    if not pdf > 0.0:
+        return dx, dy, dz, 0.0, 0.0
+    if shape == POINT or shape == DISTANT:
+        return dx, dy, dz, 0.0, scale
+    return dx, dy, dz, 1.0 / pdf, scale / pdf
+
+
+@device
+def _sees_a_part(lamps, i, px, py, pz, n):
+    """Whether the plane of a surface of normal n through p may cut lamp i in two."""
+    row, shape = lamps.values[i], lamps.shape[i]
+    if shape == SUN:
+        middle, reach = -dot(n, (row[AX], row[AY], row[AZ])), math.sqrt(row[CONE] * (2.0 - row[CONE]))
+    else:
+        middle, reach = dot(n, (row[PX] - px, row[PY] - py, row[PZ] - pz)), row[RADIUS]
+        if shape == RECTANGLE or shape == ELLIPSE:
+            reach = row[HALF_U] * abs(dot(n, (row[UX], row[UY], row[UZ])))
+            reach += row[HALF_V] * abs(dot(n, (row[VX], row[VY], row[VZ])))
+    return abs(middle) < reach
+
+
+@device
+def _sharpest(lobes, i, alpha):
+    """The least squared roughness of point i's microfacet lobes; 1 where it has none."""
+    least = 1.0
+    for j in range(np.int64(lobes.count[i])):
+        if is_glossy(lobes.kind[i, j]):
+            least = min(least, np.float64(alpha[i, j, 0]) * np.float64(alpha[i, j, 1]))
+    return least
+
+
+@device
+def _ball(cosine):
+    """Mean clamped cosine to a light over the side of a sphere that is seen, by the cosine between light and viewer."""
+    c = min(max(cosine, -1.0), 1.0)
+    angle = math.acos(c)
+    return (math.sin(angle) + (math.pi - angle) * c) * (2.0 / (3.0 * math.pi))
+
+
+@uncounted
+def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, count, out):
+    """Add the lamps' light that points 0..count send to the viewer to out (N, 3) float32.
+
+    incoming (N, 3) float32 to the viewer; position (N, 3) float64; flat (N,) float32, alpha (N, L, 2) as
+    widen_by_normals left it; shadow (lamps or 0, F) float32: share that arrives at fragments first...
+    """
+    for k in range(count):
+        if lobes.count[k] == 0:
+            continue
+        wi = row3(incoming, k)
+        px, py, pz = position[k, 0], position[k, 1], position[k, 2]
+        normal = row3(lobes.normal, k)
+        transmissive = (lobes.flags[k] & HAS_TRANSMISSION) != 0
+        plane = np.float64(flat[k])
+        r = g = b = 0.0
+        widened = False
+        for i in range(len(lamps.shape)):
+            arrives = 1.0
+            if len(shadow) > 0:
+                arrives = np.float64(shadow[i, first + k])
+                if not arrives > 0.0:
+                    continue
+            dx, dy, dz, solid, scale = _whole_lamp(
+                lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
+            )
+            side = np.int64(1)
+            if solid > SIXTEEN or solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < solid:
+                side = np.int64(4)
+            elif solid > FOUR:
+                side = np.int64(2)
+            if solid > 0.0 and _sees_a_part(lamps, np.int64(i), px, py, pz, normal):
+                side = np.int64(8)
+            points = side * side
+            apart = APART[0 if lamps.shape[i] == RECTANGLE else 1][side - 1]
+            if points == 1 and plane >= 1.0 and not transmissive:
+                if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
+                    continue
+            seen = lamps.visibility[i]
+            bits = np.int64(0)
+            if solid > 0.0:
+                if seen & GLOSSY:
+                    bits = narrow_lobes(lobes, np.int64(k), alpha, solid)
+                if bits != 0:
+                    _widen(lobes, np.int64(k), alpha, 0.0)
+                    x, y, z = lamp_in_lobes(
+                        lobes, np.int64(k), bits, wi, lamps, np.int64(i), px, py, pz, (dx, dy, dz), solid,
+                        np.float64(points), first + k,
+                    )  # fmt: skip
+                    r, g, b = r + arrives * x, g + arrives * y, b + arrives * z
+                _widen(lobes, np.int64(k), alpha, _GLITTER * solid / (math.pi * points))
+                if bits != 0:
+                    hide_lobes(lobes, np.int64(k), alpha, bits)
+                widened = True
+            elif widened:
+                _widen(lobes, np.int64(k), alpha, 0.0)
+                widened = False
+            for p in range(points):
+                if points > 1:
+                    u = 0.5 + apart * ((p % side + 0.5) / side - 0.5)
+                    v = 0.5 + apart * ((p // side + 0.5) / side - 0.5)
+                    dx, dy, dz, _, pdf, scale = sample_lamp(
+                        lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive, u, v
+                    )
+                    scale = scale / (pdf * points) if pdf > 0.0 else 0.0
+                if not scale > 0.0:
+                    continue
+                diffuse, glossy, transmission, _ = evaluate(lobes, np.int64(k), wi, (dx, dy, dz))
+                f0 = f1 = f2 = 0.0
+                if seen & DIFFUSE:
+                    f0, f1, f2 = diffuse
+                    if plane < 1.0:
+                        ball = (1.0 - plane) * _ball(wi[0] * dx + wi[1] * dy + wi[2] * dz) / math.pi
+                        f0 = plane * f0 + ball * lobes.diffuse_color[k, 0]
+                        f1 = plane * f1 + ball * lobes.diffuse_color[k, 1]
+                        f2 = plane * f2 + ball * lobes.diffuse_color[k, 2]
+                if seen & GLOSSY:
+                    f0, f1, f2 = f0 + glossy[0], f1 + glossy[1], f2 + glossy[2]
+                if bits != 0:
+                    x, y, z = point_beside_lobes(
+                        lobes, np.int64(k), bits, wi, (dx, dy, dz), solid, np.float64(points)
+                    )
+                    f0, f1, f2 = f0 + x, f1 + y, f2 + z
+                if seen & TRANSMISSION:
+                    f0, f1, f2 = f0 + transmission[0], f1 + transmission[1], f2 + transmission[2]
+                scale *= arrives
+                r += scale * f0 * lamps.radiance[i, 0]
+                g += scale * f1 * lamps.radiance[i, 1]
+                b += scale * f2 * lamps.radiance[i, 2]
+        if widened:
+            _widen(lobes, np.int64(k), alpha, 0.0)
+        if math.isfinite(r + g + b):
+            out[k, 0] += r
+            out[k, 1] += g
+            out[k, 2] += b
+
+
+@device
+def towards_normal(normal, direction, roughness):
+    """Where a rough lobe looks: between its mirror direction and its normal (Lagarde and de Rousiers 2014)."""
+    smooth = 1.0 - min(roughness, 1.0)
+    t = smooth * (math.sqrt(smooth) + roughness)
+    x = normal[0] + t * (direction[0] - normal[0])
+    y = normal[1] + t * (direction[1] - normal[1])
+    z = normal[2] + t * (direction[2] - normal[2])
+    length = math.sqrt(x * x + y * y + z * z)
+    if not length > 0.0:
+        return normal
+    return x / length, y / length, z / length
+
+
+@uncounted
+def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, count, out):
+    """Add the world's light that points 0..count send to the viewer to out (N, 3) float32.
+
+    diffuse, glossy, transmission: WorldMaps; tables: albedo_tables.Tables. What transmits looks straight into the
+    world.
+    """
+    for k in range(count):
+        wi = row3(incoming, k)
+        plane = np.float64(flat[k])
+        r = g = b = 0.0
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            base = kind & KIND_MASK
+            w = load3(lobes.data, k, j, WEIGHT)
+            n = load3(lobes.data, k, j, NORMAL)
+            if base <= TRANSLUCENT:
+                if base == SHEEN:
+                    total = mean(w)
+                    share = np.float64(lobes.data[k, j, SAMPLE]) / total if total > 0.0 else 0.0
+                    w = (w[0] * share, w[1] * share, w[2] * share)
+                if base == TRANSLUCENT:
+                    n = (-n[0], -n[1], -n[2])
+                e = world_irradiance(diffuse, n[0], n[1], n[2])
+                if plane < 1.0:
+                    sign = -1.0 if base == TRANSLUCENT else 1.0
+                    f = world_irradiance(diffuse, sign * wi[0], sign * wi[1], sign * wi[2])
+                    e = (
+                        f[0] + plane * (e[0] - f[0]),
+                        f[1] + plane * (e[1] - f[1]),
+                        f[2] + plane * (e[2] - f[2]),
+                    )
+                r += w[0] * e[0]
+                g += w[1] * e[1]
+                b += w[2] * e[2]
+                continue
+            cosine = dot(n, wi)
+            rough = math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+            reflected, transmitted = passed_on(kind, lobes.data, np.int64(k), np.int64(j), tables, wi)
+            if reflected[0] + reflected[1] + reflected[2] > 0.0 and base != REFRACTION:
+                mirror = (
+                    2.0 * cosine * n[0] - wi[0],
+                    2.0 * cosine * n[1] - wi[1],
+                    2.0 * cosine * n[2] - wi[2],
+                )
+                d = towards_normal(n, mirror, rough)
+                e = world_lobe(glossy, rough, d[0], d[1], d[2])
+                r += w[0] * reflected[0] * e[0]
+                g += w[1] * reflected[1] * e[1]
+                b += w[2] * reflected[2] * e[2]
+            if (base == REFRACTION or base == GLASS) and transmitted[0] + transmitted[1] + transmitted[
+                2
+            ] > 0.0:
+                ior = np.float64(lobes.data[k, j, IOR])
+                inverse = 1.0 / ior if ior > 0.0 else 1.0
+                square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
+                if square > 0.0:
+                    along = inverse * cosine - math.sqrt(square)
+                    d = (
+                        along * n[0] - inverse * wi[0],
+                        along * n[1] - inverse * wi[1],
+                        along * n[2] - inverse * wi[2],
+                    )
+                    bend = 0.5 * rough * abs(1.0 - inverse)  # of a mirror that spreads it as much
+                    e = world_lobe(transmission, bend, d[0], d[1], d[2])
+                    r += w[0] * transmitted[0] * e[0]
+                    g += w[1] * transmitted[1] * e[1]
+                    b += w[2] * transmitted[2] * e[2]
+        if math.isfinite(r + g + b):
+            out[k, 0] += r
+            out[k, 1] += g
+            out[k, 2] += b
+
+
+@uncounted
+def finish(lobes, holdout, fragments, first, count, light, held):
+    """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are held out.
+
+    light (F, 3): what arrived is there; the share that transparency leaves is taken out, since areas and cut-outs
+    account for it. held (F,) float32: share of a fragment that is held out. Albedo and emission go to the fragments.
+    """
+    some = False
+    for k in range(count):
+        f = first + k
+        t = 0.0
+        for c in range(3):
+            light[f, c] += lobes.emission[k, c]
+            t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
+        t = min(t, 0.999)
+        scale = 1.0 / (1.0 - t)
+        held[f] = min(max(np.float64(lobes.holdout[k]), 0.0) * scale, 1.0)
+        if holdout[k]:
+            held[f], scale = 1.0, 0.0
+        some = some or held[f] > 0.0
+        for c in range(3):
+            light[f, c] *= scale
+            fragments.albedo[f, c] = min(np.float64(lobes.diffuse_color[k, c]) * scale, 1.0)
+            fragments.emission[f, c] = lobes.emission[k, c] * scale
+    return some

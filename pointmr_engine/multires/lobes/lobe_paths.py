@@ -1,0 +1,141 @@
+"""Paths behind a surface point: rows of the next bounce's paths, each with a cone or as a ray."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.multires.cones.cones import jitter, set_axes
+from pointmr_engine.multires.cones.lamp_cones import NEAR
+from pointmr_engine.multires.lobes.lobe_view import WITHIN_LOBE
+from pointmr_engine.numerics.jit import device
+from pointmr_engine.raytracing.paths import (
+    BACKDROP,
+    FINAL,
+    LAST,
+    NO_LAMPS,
+    SEES_LAMPS,
+    THROUGH,
+    copy_path,
+    copy_ray,
+)
+from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
+from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
+
+# Paths.bsdf_pdf of rays whose lights have been sampled: what no sample can find counts in full, all else not at all
+BY_SAMPLES = 1e-9
+WIDEST = 3.0  # tangent of a cone's half angle at most
+
+
+@device
+def go_on(
+    paths, k, out, m, hits, frames, normal, flags, limits, r, g, b, dx, dy, dz, kind, glossy, transmission
+):
+    """Row m of `out` becomes the path k after one more bounce, with throughput (r, g, b)."""
+    a, s = paths.state, out.state
+    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS | NO_LAMPS)
+    s.depth[m] = a.depth[k] + 1
+    s.diffuse_depth[m] = a.diffuse_depth[k]
+    s.glossy_depth[m] = a.glossy_depth[k] + glossy
+    s.transmission_depth[m] = a.transmission_depth[k] + transmission
+    s.transparent_depth[m] = a.transparent_depth[k]
+    if (
+        s.depth[m] > limits.bounces
+        or s.glossy_depth[m] > limits.glossy
+        or s.transmission_depth[m] > limits.transmission
+    ):
+        path_flags |= FINAL
+    s.kind[m] = kind
+    s.length[m] = 0
+    out.flags[m] = path_flags
+    out.slot[m] = paths.slot[k]
+    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
+    out.bsdf_pdf[m] = math.inf
+    out.origin_transmissive[m] = (flags[k] & HAS_TRANSMISSION) != 0
+    for c in range(3):
+        out.rays.origin[m, c] = frames.position[k, c]
+        out.origin_normal[m, c] = normal[k, c]
+    out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = dx, dy, dz
+    out.rays.t_min[m] = frames.offset[k]
+    out.rays.t_max[m] = math.inf
+    out.rays.visibility[m] = TRANSMISSION if transmission else GLOSSY
+    out.rays.skip_triangle[m] = hits.triangle[k]
+    out.rays.skip_path[m] = hits.path[k]
+    s.width[m] = a.width[k] + a.spread[k] * hits.t[k]
+
+
+@device
+def pass_through(paths, k, out, m, hits, frames, limits, r, g, b):
+    """Row m of `out` becomes the path k, begun again behind the surface that it passes straight."""
+    copy_path(paths, k, 1.0, out, m)
+    copy_ray(paths.rays, k, out.rays, m)
+    passed = paths.state.transparent_depth[k] + 1
+    out.state.transparent_depth[m] = passed
+    out.state.length[m] = 0
+    path_flags = np.int64(paths.flags[k]) | THROUGH
+    if passed >= limits.transparent:
+        path_flags |= LAST
+    out.flags[m] = path_flags
+    out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2] = r, g, b
+    out.rays.t_min[m] = hits.t[k] + frames.offset[k]
+    out.rays.skip_triangle[m] = hits.triangle[k]
+    out.rays.skip_path[m] = hits.path[k]
+
+
+@device
+def no_cone(record, m, alpha):
+    """Row m of the cones is a ray, of what kind `alpha` says (lobe_view)."""
+    record.alpha[m] = alpha
+    record.part[m] = 0
+    record.cones.t_min[m] = record.cones.t_max[m] = 0.0
+    for c in range(3):
+        record.behind[m, c] = 1
+
+
+@device
+def send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind, glossy, transmission, record,
+              rough):  # fmt: skip
+    """Row m of `out` becomes a ray within a lobe, in direction wo."""
+    t = paths.throughput[k]
+    go_on(
+        paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0] * t[0] * factor, w[1] * t[1] * factor,
+        w[2] * t[2] * factor, wo[0], wo[1], wo[2], kind, glossy, transmission,
+    )  # fmt: skip
+    out.state.spread[m] = paths.state.spread[k]
+    no_cone(record, m, WITHIN_LOBE)
+    record.rough[m] = rough
+
+
+@device
+def open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
+    """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it; grain: of its cells."""
+    set_axes(cones, m, ix, iy, iz, dx, dy, dz)
+    start, spread = 0.5 * out.state.width[m], 0.5 * out.state.spread[m]
+    if wide > 0.0:
+        # sub-rays leave elsewhere in the lobe from point to point, lest their cells show
+        o = out.rays.origin
+        turn = jitter(o[m, 0], o[m, 1], o[m, 2], out.state.width[m])
+        a = 0.25 * grain * (turn[0] - 0.5)
+        b = 0.25 * grain * across * (turn[1] - 0.5)
+        ax = cones.axes
+        dx, dy, dz = (
+            dx + a * ax[m, 0, 0] + b * ax[m, 1, 0],
+            dy + a * ax[m, 0, 1] + b * ax[m, 1, 1],
+            dz + a * ax[m, 0, 2] + b * ax[m, 1, 2],
+        )
+        inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+        set_axes(cones, m, ix, iy, iz, dx * inverse, dy * inverse, dz * inverse)
+    for a in range(3):
+        cones.origin[m, a] = out.rays.origin[m, a]
+    # a plane across the axis would begin below the surface: only mirrors need the footprint, and less of their way
+    steep = abs(ix * dx + iy * dy + iz * dz)
+    slope = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
+    if wide > 0.0:
+        start = 0.0
+    cones.start[m, 0] = cones.start[m, 1] = start
+    cones.spread[m, 0] = min(wide + spread, WIDEST)
+    cones.spread[m, 1] = min(wide * across + spread, WIDEST)
+    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], start * slope)
+    cones.t_max[m] = out.rays.t_max[m]
+    cones.visibility[m] = out.rays.visibility[m]

@@ -1,0 +1,160 @@
+"""What lobes and light samples leave each other: of light that both find, and of lobes that only cones can follow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.multires.lobes.lobe_view import lobe_pdf
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
+from pointmr_engine.shading.bsdf.layout import (
+    ALPHA_X,
+    ALPHA_Y,
+    BECKMANN,
+    GLASS,
+    HAS_EVALUATION,
+    KIND_MASK,
+    NORMAL,
+    REFLECTION,
+    REFRACTION,
+    SINGULAR_ALPHA_SQUARED,
+    SINGULAR_LOBE,
+    TRANSLUCENT,
+    WEIGHT,
+)
+from pointmr_engine.shading.bsdf.vector import dot, load3, row3
+
+NARROW = 0.3  # roughness (GGX alpha) of refractions below which lamps behind first surfaces are left to rays
+BENT = 4.0  # squared roughnesses in the variance of normals up to which a lobe is a mirror that bends
+OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks for lamps
+
+
+@device
+def mean_roughness(lobes, k, j):
+    """Mean roughness of lobe j of point k."""
+    return math.sqrt(np.float64(lobes.data[k, j, ALPHA_X]) * np.float64(lobes.data[k, j, ALPHA_Y]))
+
+
+@device
+def _is_shared(samples, i, glints):
+    """Whether lobes look for what light sample i found."""
+    return samples.kind[i] == TRIANGLE or (glints and samples.kind[i] == LAMP)
+
+
+@uncounted
+def share_with_lobes(
+    lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, behind, integrated, count, kept
+):
+    """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
+
+    Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
+    the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, they look for lamps that rays can meet, too,
+    where they reflect (SEES_LAMPS), and `behind` first surfaces where they refract narrowly: only a ray finds its way
+    through glass. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    """
+    for i in range(count):
+        if not _is_shared(samples, i, glints):
+            continue
+        k = np.int64(rows[i])
+        w, wi = row3(samples.direction, i), row3(incoming, k)
+        for j in range(np.int64(lobes.count[k])):
+            share = 1.0
+            base = lobes.kind[k, j] & KIND_MASK
+            if base > TRANSLUCENT:
+                lamp = samples.kind[i] == LAMP
+                normal = load3(lobes.data, k, j, NORMAL)
+                if lamp and not mis_of_lamp[samples.index[i]]:
+                    share = 1.0
+                elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
+                    narrow = behind and mean_roughness(lobes, k, np.int64(j)) < NARROW
+                    share = 1.0 if lamp and not narrow else 0.0
+                elif integrated[k, j] and not lamp:
+                    share = 0.0
+                elif pdf[i] > 0.0:
+                    rough = mean_roughness(lobes, k, np.int64(j))
+                    ratio = (
+                        (OF_CONE if integrated[k, j] else 1.0)
+                        * lobe_pdf(rough * rough, normal, wi, w)
+                        / pdf[i]
+                    )
+                    share = 1.0 / (1.0 + ratio * ratio)
+            for c in range(3):
+                kept[i, j, c] = lobes.data[k, j, WEIGHT + c]
+                lobes.data[k, j, WEIGHT + c] *= share
+
+
+@uncounted
+def restore_lobes(lobes, rows, samples, glints, count, kept):
+    """Undo `share_with_lobes`."""
+    for i in range(count):
+        if _is_shared(samples, i, glints):
+            k = np.int64(rows[i])
+            for j in range(np.int64(lobes.count[k])):
+                for c in range(3):
+                    lobes.data[k, j, WEIGHT + c] = kept[i, j, c]
+
+
+@uncounted
+def sample_widened(lobes, throughput, below, count):
+    """Let light samples look for lamps in mirrors that are seen as narrow lobes, where lobes share these (`glints`).
+
+    Points 0..count of a throughput `below` that. Lamps in narrow refractions are left to rays that meet them.
+    """
+    for k in range(count):
+        if max(throughput[k, 0], throughput[k, 1], throughput[k, 2]) >= below:
+            continue
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            base = kind & KIND_MASK
+            if base > TRANSLUCENT and base != REFRACTION and base != GLASS and not kind & SINGULAR_LOBE:
+                lobes.flags[k] |= HAS_EVALUATION
+
+
+@uncounted
+def bend_mirrors(lobes, variance, alpha, count):
+    """Let light samples look for lamps in mirrors that bend, of points 0..count.
+
+    variance (N,) float32 of the normals' slopes in a footprint, where a mirror shows a lamp in one footprint and not in
+    the next; 0: flat. alpha (N, L, 2): of these mirrors it becomes that of a lobe as wide. Lobes that are little else
+    have no tails, which would be a glow about every lamp.
+    """
+    for k in range(count):
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            if kind & KIND_MASK != REFLECTION:
+                continue
+            if kind & SINGULAR_LOBE:
+                if not variance[k] > 0.0:
+                    continue
+                alpha[k, j, 0] = alpha[k, j, 1] = math.sqrt(2.0 * np.float64(variance[k]))
+            if np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1]) < BENT * np.float64(variance[k]):
+                lobes.kind[k, j] |= BECKMANN
+            lobes.flags[k] |= HAS_EVALUATION
+
+
+@uncounted
+def keep_lobes(lobes, alpha, integrated, count):
+    """Drop the lobes of points 0..count that only cones can follow: perfect mirrors and clear glass.
+
+    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals and `bend_mirrors` left it; integrated (N, L): see
+    scatter_lobes.
+    """
+    for k in range(count):
+        kept = np.int64(0)
+        for j in range(np.int64(lobes.count[k])):
+            kind = lobes.kind[k, j]
+            rough = np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1])
+            if kind & SINGULAR_LOBE and rough <= SINGULAR_ALPHA_SQUARED:
+                continue
+            if kept != j:
+                lobes.kind[k, kept] = kind
+                integrated[k, kept] = integrated[k, j]
+                alpha[k, kept, 0], alpha[k, kept, 1] = alpha[k, j, 0], alpha[k, j, 1]
+                for c in range(lobes.data.shape[2]):
+                    lobes.data[k, kept, c] = lobes.data[k, j, c]
+            kept += 1
+        lobes.count[k] = kept
+        if kept == 0:
+            lobes.flags[k] = 0

@@ -1,0 +1,291 @@
+"""What the cones of lobes see: their fragments go on as paths, weighted by the part of the lobe that each one fills.
+
+A cone's 64 sub-rays are weighted by the lobe itself, a microfacet distribution seen from where the path comes, and not
+by a Gaussian that stands for it. What escapes goes on as one path to the world, narrowed to the open part of the lobe.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pointmr_engine.multires.cones.cones import Cones, direction_of
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import sample_1d
+from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
+from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
+from pointmr_engine.shading.bsdf.vector import row3
+from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
+
+# LobeCones.alpha of rays: passing, or what a cone was
+STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = -1.0, -2.0, -3.0
+_NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
+BY_LOBE = 0.0  # Paths.bsdf_pdf until the direction within the lobe is chosen
+FINE = 4  # places per side at which the lobe is taken in cells that its core covers in part
+
+
+class LobeCones(NamedTuple):
+    """The cones of N paths, and the lobes that they stand for."""
+
+    cones: Cones
+    # (N,) float32 roughness: 0 a mirror, or clear; below 0: a ray instead of a cone, as below
+    alpha: np.ndarray
+    normal: np.ndarray  # (N, 3) float32 of the lobe where it reflects; 0 where it transmits
+    incoming: np.ndarray  # (N, 3) float32 to where the path came from
+    # (N,) int8: 0 the whole lobe; 1 its core, whose next row is 2: what the same lobe sends beside its core
+    part: np.ndarray
+    weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
+    ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
+    rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
+    behind: np.ndarray  # (N, 3) float32: of rays, factors of what surfaces reflect (lobe_rays.behind_glossy)
+    beckmann: np.ndarray  # (N,) bool: whose slopes are as a Gaussian has them, and not as GGX
+
+
+def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
+    """Room for n."""
+    f = np.float32
+    return LobeCones(
+        cones,
+        np.empty(n, f),
+        np.empty((n, 3), f),
+        np.empty((n, 3), f),
+        np.zeros(n, np.int8),
+        np.empty((n, 64), f),
+        np.zeros(n, np.bool_),
+        np.zeros(n, f),
+        np.ones((n, 3), f),
+        np.zeros(n, np.bool_),
+    )
+
+
+@device
+def lobe_pdf(alpha2, normal, incoming, direction):
+    """Density per solid angle of a GGX lobe's reflections, microfacets chosen by their area; 0 below the surface."""
+    cosine = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
+    x, y, z = direction[0] + incoming[0], direction[1] + incoming[1], direction[2] + incoming[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if not (cosine > 0.0 and length > 0.0):
+        return 0.0
+    h = (normal[0] * x + normal[1] * y + normal[2] * z) / length
+    d = h * h * (alpha2 - 1.0) + 1.0
+    return max(
+        alpha2 * h / (math.pi * d * d * 2.0 * length), 0.0
+    )  # |wi + wo| is twice the cosine between wi and h
+
+
+@device
+def pdf_of(lobes: LobeCones, k, alpha, direction):
+    """lobe_pdf of cone k's lobe, of roughness alpha, in a direction; inf where it transmits or is sharp."""
+    n, w = lobes.normal, lobes.incoming
+    nx, ny, nz = np.float64(n[k, 0]), np.float64(n[k, 1]), np.float64(n[k, 2])
+    if not alpha > 0.0 or nx * nx + ny * ny + nz * nz == 0.0:
+        return math.inf
+    incoming = (np.float64(w[k, 0]), np.float64(w[k, 1]), np.float64(w[k, 2]))
+    return lobe_pdf(alpha * alpha, (nx, ny, nz), incoming, direction)
+
+
+@device
+def _in_core(c, m, x, y, z):
+    """Whether a direction lies in the square that cone m covers."""
+    t = x * c.axes[m, 2, 0] + y * c.axes[m, 2, 1] + z * c.axes[m, 2, 2]
+    u = x * c.axes[m, 0, 0] + y * c.axes[m, 0, 1] + z * c.axes[m, 0, 2]
+    v = x * c.axes[m, 1, 0] + y * c.axes[m, 1, 1] + z * c.axes[m, 1, 2]
+    return t > 0.0 and abs(u) <= c.spread[m, 0] * t and abs(v) <= c.spread[m, 1] * t
+
+
+@device
+def _density(lobes: LobeCones, m, u, v, alpha2):
+    """What the lobe of cone m sends through slopes (u, v), per area of slopes, times a constant; 0 in its core's."""
+    c = lobes.cones
+    inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)
+    w = inverse * inverse * inverse
+    nx, ny, nz = lobes.normal[m, 0], lobes.normal[m, 1], lobes.normal[m, 2]
+    dx, dy, dz = direction_of(c, m, u, v)
+    dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+    if lobes.part[m] == 2 and _in_core(c, m - 1, dx, dy, dz):
+        return 0.0
+    beckmann = lobes.beckmann[m]
+    if nx * nx + ny * ny + nz * nz == 0.0:
+        return w * distribution(beckmann, (u * u + v * v) / (4.0 * alpha2), 0.0, 1.0, alpha2)
+    cosine = nx * dx + ny * dy + nz * dz
+    if cosine <= 0.0:
+        return 0.0
+    hx, hy, hz = dx + lobes.incoming[m, 0], dy + lobes.incoming[m, 1], dz + lobes.incoming[m, 2]
+    h = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
+    if h <= 0.0:
+        return 0.0
+    h2, c2 = h * h, cosine * cosine
+    visible = 1.0 / (1.0 + smith_lambda(beckmann, alpha2 * (1.0 - c2) / c2))
+    return w * visible * distribution(beckmann, (1.0 - h2) / alpha2, 0.0, h2, alpha2)
+
+
+@device
+def _weigh(lobes: LobeCones, m):
+    """Fill the weights of cone m by what its lobe sends through the sub-rays' cells; returns their sum."""
+    c = lobes.cones
+    alpha2 = np.float64(lobes.alpha[m]) ** 2
+    wide_u, wide_v = 0.25 * c.spread[m, 0], 0.25 * c.spread[m, 1]
+    # cells of the rest that the core covers in part send what is left of them
+    near = 1.3 * c.spread[m - 1, 0] if lobes.part[m] == 2 else 0.0
+    total = 0.0
+    for b in range(64):
+        u, v = ((b & 7) - 4.0) * wide_u, ((b >> 3) - 4.0) * wide_v
+        across = max(abs(u + 0.5 * wide_u), abs(v + 0.5 * wide_v) * wide_u / max(wide_v, 1e-30))
+        n = np.int64(FINE if across < near else 1)
+        w = 0.0
+        for j in range(n):
+            for i in range(n):
+                w += _density(lobes, m, u + (i + 0.5) / n * wide_u, v + (j + 0.5) / n * wide_v, alpha2)
+        w *= wide_u * wide_v / (n * n)
+        lobes.weights[m, b] = w
+        total += w
+    return total
+
+
+@uncounted
+def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, count):
+    """Cones 0..count of throughput below `strong`, or not worth it, become a ray each: a sub-ray, by weight."""
+    c = lobes.cones
+    for m in range(count):
+        t = paths.throughput[m]
+        if lobes.alpha[m] < 0 or lobes.part[m] != 0 or (max(t[0], t[1], t[2]) >= strong and not lobes.ray[m]):
+            continue
+        c.t_min[m] = c.t_max[m] = 0.0
+        for a in range(3):
+            lobes.behind[m, a] = 1
+        if lobes.alpha[m] <= 0.0:
+            lobes.alpha[m] = THROUGH_MIRROR
+            paths.bsdf_pdf[m] = math.inf
+            continue
+        slot = paths.slot[m]
+        seed = np.uint32(samples.seed[slot] ^ np.uint32(m))
+        target = sample_1d(tables, seed, np.uint32(64 * bounce + 9), samples.number[slot])
+        b = np.int64(0)
+        while b < 63:
+            target -= lobes.weights[m, b]
+            if target < 0.0:
+                break
+            b += 1
+        u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
+        v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
+        inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)
+        x, y, z = direction_of(c, m, u, v)
+        d = paths.rays.direction
+        d[m, 0], d[m, 1], d[m, 2] = x * inverse, y * inverse, z * inverse
+        if paths.bsdf_pdf[m] == BY_LOBE:
+            paths.bsdf_pdf[m] = pdf_of(lobes, m, np.float64(lobes.alpha[m]), row3(paths.rays.direction, m))
+        lobes.rough[m] = lobes.alpha[m]
+        lobes.alpha[m] = WITHIN_LOBE
+
+
+@uncounted
+def weigh_sub_rays(lobes: LobeCones, count):
+    """Weights of the sub-rays of cones 0..count: equal for mirrors, by their distribution for rough lobes."""
+    total = 0.0
+    for m in range(count):
+        if lobes.alpha[m] <= 0.0:
+            for b in range(64):
+                lobes.weights[m, b] = np.float32(1.0 / 64.0)
+            continue
+        first = m - 1 if lobes.part[m] == 2 else m
+        total = _weigh(lobes, np.int64(m)) + (total if first < m else 0.0)
+        if lobes.part[m] == 1:
+            continue
+        scale = np.float32(1.0 / total) if total > 0.0 else np.float32(0)
+        for k in range(first, m + 1):
+            for b in range(64):
+                lobes.weights[k, b] *= scale
+
+
+@device
+def _look(lobes: LobeCones, k, mask):
+    """(weight, mean direction) of the sub-rays `mask` of cone k."""
+    c = lobes.cones
+    total, u, v = 0.0, 0.0, 0.0
+    for b in range(64):
+        if (mask >> np.uint64(b)) & np.uint64(1):
+            w = np.float64(lobes.weights[k, b])
+            total += w
+            u += w * (((b & 7) + 0.5) * 0.25 - 1.0)
+            v += w * (((b >> 3) + 0.5) * 0.25 - 1.0)
+    if total > 0.0:
+        u, v = u / total * c.spread[k, 0], v / total * c.spread[k, 1]
+    x, y, z = direction_of(c, k, u, v)
+    inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return total, x * inverse, y * inverse, z * inverse
+
+
+@device
+def _whole(lobes: LobeCones, k):
+    """What the sub-rays of cone k weigh together: less than 1 where the lobe has two cones."""
+    if lobes.part[k] == 0:
+        return 1.0
+    total = 0.0
+    for b in range(64):
+        total += np.float64(lobes.weights[k, b])
+    return total
+
+
+@uncounted
+def follow_cones(
+    paths: Paths,
+    lobes: LobeCones,
+    fragments,
+    escaped,
+    count,
+    n,
+    room,
+    out: Paths,
+    hits,
+    alpha,
+    behind,
+    around,
+):
+    """Paths for what the cones of paths 0..n see, into out; returns (rows of hits, of escapes, of straight rays).
+
+    fragments: count rows of cone_hits.gather, whose rays and hits are rows 0..count of out.rays and hits already. alpha
+    (M,) float32: roughness of what is left of the lobe in each row; of what is met, `around` times its part. behind
+    (M, 3) float32: LobeCones.behind of each row. Straight rays have yet to be walked.
+    """
+    for r in range(count):
+        k = np.int64(fragments.cone[r])
+        weight, _, _, _ = _look(lobes, k, fragments.mask[r])
+        copy_path(paths, k, weight, out, np.int64(r))
+        if paths.bsdf_pdf[k] == BY_LOBE:
+            out.bsdf_pdf[r] = pdf_of(lobes, k, np.float64(lobes.alpha[k]), row3(out.rays.direction, r))
+        out.rays.visibility[r] = paths.rays.visibility[k]
+        share = math.sqrt(min(weight, 1.0))
+        a = max(np.float64(lobes.alpha[k]), 0.0)
+        out.state.spread[r] += 2.0 * a * share
+        # the sub-ray that met it was chosen within the lobe, as a ray is
+        alpha[r] = around * a * share
+    m = np.int64(count)
+    for k in range(n):
+        if lobes.alpha[k] < 0 or escaped[k] == np.uint64(0) or m >= room:
+            continue
+        weight, x, y, z = _look(lobes, np.int64(k), escaped[k])
+        if not weight > 0.0:
+            continue
+        copy_path(paths, np.int64(k), weight, out, m)
+        copy_ray(paths.rays, np.int64(k), out.rays, m)
+        out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = x, y, z
+        alpha[m] = lobes.alpha[k] * math.sqrt(min(weight / _whole(lobes, np.int64(k)), 1.0))
+        hits.triangle[m] = -1
+        hits.t[m] = math.inf
+        m += 1
+    escapes = m - count
+    behind[:m] = 1
+    for k in range(n):
+        if lobes.alpha[k] < 0 and m < room:
+            copy_path(paths, np.int64(k), 1.0, out, m)
+            copy_ray(paths.rays, np.int64(k), out.rays, m)
+            for c in range(3):
+                behind[m, c] = lobes.behind[k, c]
+            sharp = np.int64(paths.state.kind[k]) & (RAY_CAMERA | RAY_SINGULAR) != 0
+            alpha[m] = 0.0 if sharp else _NEARLY_SHARP
+            if lobes.alpha[k] == WITHIN_LOBE:
+                alpha[m] = max(_NEARLY_SHARP, around * np.float64(lobes.rough[k]))
+            m += 1
+    return count, escapes, m - count - escapes

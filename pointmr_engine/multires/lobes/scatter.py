@@ -1,0 +1,392 @@
+"""Where light comes from next: a cone or a ray for every glossy and transmitting lobe of a surface point.
+
+A lobe's cone leaves in the direction that it favours, as wide as the lobe; its weight is the lobe's albedo for the
+viewer (split sum; Karis 2013). A ray is drawn from the lobe (lobe_rays.py). What is weaker than the threshold goes on
+by chance, so that nothing is lost on average.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.forward.shading.lobe_light import towards_normal
+from pointmr_engine.multires.lobes.lobe_paths import (
+    BY_SAMPLES,
+    WIDEST,
+    go_on,
+    no_cone,
+    open_cone,
+    pass_through,
+    send_ray,
+)
+from pointmr_engine.multires.lobes.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
+from pointmr_engine.multires.lobes.lobe_shares import NARROW, mean_roughness
+from pointmr_engine.multires.lobes.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
+from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
+from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
+from pointmr_engine.shading.bsdf.layout import (
+    ASHIKHMIN_SHIRLEY,
+    BECKMANN,
+    GLASS,
+    IOR,
+    KIND_MASK,
+    NORMAL,
+    REFLECTION,
+    REFRACTION,
+    SINGULAR_LOBE,
+    TRANSLUCENT,
+    WEIGHT,
+)
+from pointmr_engine.shading.bsdf.microfacet import fresnel
+from pointmr_engine.shading.bsdf.setup import passed_on, single_scattering
+from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, row3
+from pointmr_engine.shading.points import (
+    RAY_DIFFUSE,
+    RAY_GLOSSY,
+    RAY_REFLECTION,
+    RAY_SINGULAR,
+    RAY_TRANSMISSION,
+)
+
+WIDE = 4.0  # half width of a lobe's cone, in slopes of its roughness: what lies beyond is left out ...
+# ... of lobes that matter, which have two: one for their middle, one for what is beside it, and a Gaussian less of it
+CORE, REST, REST_OF_GAUSSIAN = 2.0, 10.0, 5.0
+STRONG = 0.5  # throughput from which a lobe matters: weaker ones take a ray
+SPLIT = 0.4  # throughput of a first surface's lobes together from which each of them goes on
+CLEAR = 0.25  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
+SHARP = 0.3  # roughness below which they are mirrors and clear glass: where a first one bends, what is behind is wider
+WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
+WEAK_THROUGH = 0.5  # ... and of what passes leaves, behind which lights have been sampled
+THROUGH_ROUGH = 0.4  # of what passes leaves: what its rays stand for, as if it were this rough a lobe
+LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in roughnesses, and how many
+LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
+
+
+@device
+def _from_inside(lobes, k, j, tables, cosine):
+    """(reflected rgb, transmitted rgb) of glass seen from inside, where the tables of albedo know no total reflection.
+
+    The mean over facets that lean as a rough surface's do, so that no side is 0 to which one of them may send light.
+    """
+    rough = mean_roughness(lobes, k, j)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    r, g = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in range(LEANS):
+        lean = rough * LEAN * (2.0 * i / (LEANS - 1) - 1.0)
+        c = min(max((cosine + lean * sine) / math.sqrt(1.0 + lean * lean), 1e-4), 1.0)
+        a, b, _ = fresnel(lobes.kind[k, j], lobes.data, k, j, tables.film, c)
+        r, g = (r[0] + a[0], r[1] + a[1], r[2] + a[2]), (g[0] + b[0], g[1] + b[1], g[2] + b[2])
+    n = single_scattering(lobes.kind[k, j], lobes.data, k, j, tables, cosine) / LEANS
+    return (n * r[0], n * r[1], n * r[2]), (n * g[0], n * g[1], n * g[2])
+
+
+@device
+def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
+    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 where diffuse."""
+    zero = (0.0, 0.0, 0.0)
+    kind = lobes.kind[k, j]
+    base = kind & KIND_MASK
+    if base <= TRANSLUCENT:
+        return zero, zero
+    if base == GLASS and lobes.data[k, j, IOR] < 1.0:
+        cosine = dot(load3(lobes.data, k, j, NORMAL), incoming)
+        reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo, cosine)
+    else:
+        reflected, transmitted = passed_on(kind, lobes.data, k, j, tables_of_albedo, incoming)
+    w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
+    w = (w[0] * t[0], w[1] * t[1], w[2] * t[2])
+    r, g = zero, zero
+    if base != REFRACTION:
+        r = (w[0] * reflected[0], w[1] * reflected[1], w[2] * reflected[2])
+    if base == REFRACTION or base == GLASS:
+        g = (w[0] * transmitted[0], w[1] * transmitted[1], w[2] * transmitted[2])
+    return r, g
+
+
+@device
+def _all_clear(lobes, k):
+    """Whether all lobes of point k are of mirrors and clear glass, though the view may have widened them."""
+    for j in range(np.int64(lobes.count[k])):
+        if lobes.kind[k, j] & KIND_MASK <= TRANSLUCENT or not mean_roughness(lobes, k, np.int64(j)) < SHARP:
+            return False
+    return True
+
+
+@device
+def _largest(c):
+    return max(c[0], c[1], c[2])
+
+
+@device
+def _branch(chosen, weight, before, target, total):
+    """Factor of the weight of a branch that goes on, 0 if it does not.
+
+    chosen: only the branch goes on in whose share of `total`, behind `before`, the `target` lies.
+    """
+    if not weight > 0.0:
+        return 0.0
+    if chosen:
+        if before <= target and target < before + weight:
+            return total / weight
+        return 0.0
+    return 1.0
+
+
+@device
+def _survives(out, m, chance, weak):
+    """Whether row m of paths goes on, by a random number, where its throughput is below `weak`; it is then that."""
+    t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
+    if t >= weak:
+        return True
+    if chance * weak >= t:
+        return False
+    for c in range(3):
+        out.throughput[m, c] *= weak / t
+    return True
+
+
+@device
+def _place(tables, samples, slot, bounce, k, j):
+    """Two random numbers for lobe j of point k: at first surfaces the fragments of a pixel share them out."""
+    seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
+    return sample_2d(tables, seed, np.uint32(LOBE_PLACES + 16 * bounce + (j & 15)), samples.number[slot])
+
+
+@uncounted
+def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
+                  record, integrated, small, bent, limit, glinting, shares, first_share, passed):  # fmt: skip
+    """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
+
+    At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
+    path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
+    integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
+    that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples look for lamps.
+    limit: roughness above which lobes take rays; glinting: throughput below which lobes look for lamps. shares: what
+    rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not at all). passed
+    (2, L, 3) float64 to work in.
+    """
+    m = np.int64(0)
+    sharing = bounce == 0 and len(shares.worth) > 0
+    for k in range(n):
+        if sharing:
+            p = frames.position
+            clear_share(shares, first_share + k, p[k, 0], p[k, 1], p[k, 2])
+        if not alive[k]:
+            continue
+        crowded = m + (2 * MOST + 1) * np.int64(lobes.count[k]) + (n - k) > room
+        wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
+        t = paths.throughput[k]
+        clear = (0.0, 0.0, 0.0)
+        if not paths.flags[k] & LAST:
+            clear = (
+                np.float64(t[0]) * lobes.transparency[k, 0],
+                np.float64(t[1]) * lobes.transparency[k, 1],
+                np.float64(t[2]) * lobes.transparency[k, 2],
+            )
+        total = max(_largest(clear), 0.0)
+        for j in range(np.int64(lobes.count[k])):
+            r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
+            total += _largest(r) + _largest(g)
+            passed[0, j, 0], passed[0, j, 1], passed[0, j, 2] = r
+            passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
+        slot = paths.slot[k]
+        for j in range(np.int64(lobes.count[k])):
+            if lobes.kind[k, j] & KIND_MASK == TRANSLUCENT and m + 1 + n - k <= room:
+                m = _through(
+                    paths, samples, np.int64(k), np.int64(j), hits, frames, lobes, limits, tables, bounce, out, m,
+                    record,
+                )  # fmt: skip
+        if not total > 0.0:
+            continue
+        divides = bounce == 0 or (_largest(t) >= CLEAR and _all_clear(lobes, np.int64(k)))
+        chosen = total < SPLIT or crowded or not divides
+        glints = _largest(t) < glinting
+        strong = STRONG if bounce == 0 else 1.0
+        target = chance = 0.0
+        if chosen:
+            seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
+            target = sample_1d(tables, seed, np.uint32(64 * bounce + 8), samples.number[slot]) * total
+            chance = sample_1d(tables, seed, np.uint32(64 * bounce + 10), samples.number[slot])
+        first, before = m, 0.0
+        f = _branch(chosen, _largest(clear), before, target, total)
+        before += max(_largest(clear), 0.0)
+        if f > 0.0:
+            pass_through(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
+            no_cone(record, m, STRAIGHT)
+            m += 1
+        for j in range(np.int64(lobes.count[k])):
+            integrated[k, j] = False
+            r, g = row3(passed[0], j), row3(passed[1], j)
+            rough = mean_roughness(lobes, k, j)
+            largest = total if chosen else _largest(r)
+            ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
+            if sharing and ray and _largest(r) > 0.0:
+                add_lobe(shares, first_share + k, r, load3(lobes.data, k, j, NORMAL), rough)
+            f = _branch(chosen, _largest(r), before, target, total)
+            before += _largest(r)
+            if f > 0.0:
+                r = (r[0] * f, r[1] * f, r[2] * f)
+                integrated[k, j] = (
+                    bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
+                )
+                u, v = _place(tables, samples, slot, bounce, k, j)
+                times = rays_of(_largest(r), small[k]) if ray and bounce == 0 and not crowded else 1
+                r, f = (r[0] / times, r[1] / times, r[2] / times), f / times
+                for _ in range(times):
+                    m = _reflect(
+                        paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
+                        glints, integrated[k, j], small[k], bent[k], rough, ray, crowded,
+                    )  # fmt: skip
+                    u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
+            f = _branch(chosen, _largest(g), before, target, total)
+            before += _largest(g)
+            if f > 0.0:
+                g = (g[0] * f, g[1] * f, g[2] * f)
+                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(g), small[k], strong)
+                u, v = _place(tables, samples, slot, bounce, k, j)
+                times = rays_of(_largest(g), small[k]) if ray and bounce == 0 and not crowded else 1
+                g, f = (g[0] / times, g[1] / times, g[2] / times), f / times
+                for _ in range(times):
+                    m = _refract(
+                        paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
+                        glints and bounce > 0, small[k], rough, ray, crowded,
+                    )  # fmt: skip
+                    u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
+        if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
+            m = first
+    return m
+
+
+@device
+def _reflect(
+    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
+    small, bent, rough, ray, alone,
+):  # fmt: skip
+    """The ray of a lobe that reflects, its cone, or the two of one that matters; returns the next row.
+
+    w: its throughput; factor: of chance, in it; u, v: random numbers for the ray; rough: mean_roughness; alone: there
+    is room for one row and no more.
+    """
+    kind = lobes.kind[k, j]
+    nm = load3(lobes.data, k, j, NORMAL)
+    cosine = dot(nm, wi)
+    singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+    if ray:
+        wo, weight, density, side = draw_direction(lobes, k, j, wi, False, u, v)
+        if _largest(weight) > 0.0:
+            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
+                     np.int64(1), np.int64(0), record, rough)  # fmt: skip
+            if glints:
+                out.flags[m] |= SEES_LAMPS
+            out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
+            record.behind[m, 0], record.behind[m, 1], record.behind[m, 2] = behind_glossy(
+                lobes, k, j, wi, wo, weight, density, side
+            )
+            m += 1
+        return m
+    d = (2.0 * cosine * nm[0] - wi[0], 2.0 * cosine * nm[1] - wi[1], 2.0 * cosine * nm[2] - wi[2])
+    d = towards_normal(nm, d, rough)
+    if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
+        return m
+    flags, pdf = np.int64(0), math.inf
+    if singular == 0 and not integrated:
+        flags, pdf = np.int64(SEES_LAMPS) if glints else np.int64(0), BY_LOBE
+    if singular != 0 and bent and kind & KIND_MASK == REFLECTION:
+        flags = np.int64(NO_LAMPS)
+    return _open_cones(
+        paths, k, hits, frames, lobes, limits, w, d, nm, abs(cosine), RAY_REFLECTION | RAY_GLOSSY | singular,
+        np.int64(0), flags, pdf, 0.0 if singular else rough, kind, small, alone, nm, wi, out, m, record,
+    )  # fmt: skip
+
+
+@device
+def _open_cones(
+    paths, k, hits, frames, lobes, limits, w, d, axis, across, ray_kind, transmission, flags, pdf, alpha, kind, small,
+    alone, normal, wi, out, m, record,
+):  # fmt: skip
+    """The cone of a lobe about direction d, or the two of one that matters; returns the next row.
+
+    axis: the lobe's normal; across: how wide the cone is beside the plane of incidence (open_cone). alpha: roughness of
+    a mirror that spreads as much, 0 of what is sharp; kind: of the lobe; normal: of one that reflects, else 0. Others
+    as of `_reflect`.
+    """
+    # a power of the cosine is nearly one
+    beckmann = kind & BECKMANN != 0 or kind & KIND_MASK == ASHIKHMIN_SHIRLEY
+    two = alpha > 0.0 and not small and not alone and _largest(w) > STRONG
+    wide = min(2.0 * alpha * (CORE if two else WIDE), 0.5 * WIDEST)
+    grain = wide
+    for part in range(2 if two else 1):
+        if part == 1:
+            wide *= (REST_OF_GAUSSIAN if beckmann else REST) / CORE
+        go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
+              ray_kind, np.int64(1) - transmission, transmission)  # fmt: skip
+        out.flags[m] |= flags
+        out.bsdf_pdf[m] = pdf
+        out.state.spread[m] = paths.state.spread[k]
+        open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
+        record.alpha[m], record.beckmann[m] = alpha, beckmann
+        record.part[m] = part + 1 if two else 0
+        record.ray[m] = small
+        for c in range(3):
+            record.normal[m, c] = normal[c]
+            record.incoming[m, c] = wi[c]
+        m += 1
+    return m
+
+
+@device
+def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, out, m, record):
+    """The ray of a translucent lobe, if it goes on; returns the next row. Arguments as of `scatter_lobes`.
+
+    What is diffuse does not bounce but through leaves: that counts as transmission (as in Cycles). It goes on beside
+    what else does, for where one of both is chosen by chance, weak lobes beside it would stand for it, too.
+    """
+    slot, nm = paths.slot[k], load3(lobes.data, k, j, NORMAL)
+    u, v = _place(tables, samples, slot, bounce, k, j)
+    wo = cosine_hemisphere((-nm[0], -nm[1], -nm[2]), u, v)
+    if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
+        return m
+    send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
+             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, THROUGH_ROUGH)  # fmt: skip
+    out.bsdf_pdf[m] = BY_SAMPLES
+    seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
+    chance = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
+    return m + 1 if _survives(out, m, chance, WEAK_THROUGH) else m
+
+
+@device
+def _refract(
+    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, small, rough, ray,
+    alone,
+):  # fmt: skip
+    """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`."""
+    kind = lobes.kind[k, j]
+    nm = load3(lobes.data, k, j, NORMAL)
+    cosine = dot(nm, wi)
+    singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+    ior = np.float64(lobes.data[k, j, IOR])
+    inverse = 1.0 / ior if ior > 0.0 else 1.0
+    bend = 0.5 * abs(1.0 - inverse) * rough  # of a mirror that spreads what it reflects as much
+    if ray:
+        wo, weight, _, _ = draw_direction(lobes, k, j, wi, True, u, v)
+        if _largest(weight) > 0.0:
+            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
+                     RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
+            if glints and rough < NARROW:
+                out.flags[m] |= SEES_LAMPS
+            m += 1
+        return m
+    square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
+    if not square > 0.0:
+        return m
+    along = inverse * cosine - math.sqrt(square)
+    d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
+    flags = np.int64(SEES_LAMPS) if glints and rough < NARROW else np.int64(0)
+    return _open_cones(
+        paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
+        flags, math.inf, 0.0 if singular else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record,
+    )  # fmt: skip

@@ -1,0 +1,285 @@
+"""Light by cones where they are the cheaper way, and by stratified rays elsewhere: `cone_light` decides.
+
+A workspace of raytracing's integrator whose stages are replaced: the direct light of wide lamps is their open light
+times the share that shadow cones find free; strong lobes send cones, and what these meet goes on as paths with the
+weight of their coverage.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pointmr_engine.forward.shading.lobe_light import widen_by_normals, widen_more
+from pointmr_engine.forward.shading.world_light import world_lobe
+from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments, gather
+from pointmr_engine.multires.cones.cones import allocate_cones
+from pointmr_engine.multires.lobes.lobe_lamps import first_fragments, lamps_in_cones
+from pointmr_engine.multires.lobes.lobe_paths import BY_SAMPLES
+from pointmr_engine.multires.lobes.lobe_rays import ROUGH
+from pointmr_engine.multires.lobes.lobe_shares import (
+    bend_mirrors,
+    keep_lobes,
+    restore_lobes,
+    sample_widened,
+    share_with_lobes,
+)
+from pointmr_engine.multires.lobes.lobe_view import (
+    allocate_lobe_cones,
+    follow_cones,
+    thin_out,
+    weigh_sub_rays,
+)
+from pointmr_engine.multires.lobes.scatter import STRONG, scatter_lobes
+from pointmr_engine.multires.paths.fragment_paths import BATCH
+from pointmr_engine.multires.paths.shadow_edges import LARGE
+from pointmr_engine.multires.paths.wide_lamps import WideLamps
+from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.raytracing import paths, walk
+from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
+from pointmr_engine.raytracing.paths import NO_LAMPS, SEES_LAMPS
+from pointmr_engine.raytracing.surface import frames
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.shading.footprint_mean import EVERY, POINT, SOME
+
+ROOM = 6 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
+# of a lobe's roughness, what a ray within it stands for, at one cone a pixel; with more of them it becomes less (as
+# regularized paths do: Kaplanyan and Dachsbacher 2013)
+AROUND = 0.5
+OF_SKY = 0.5  # of that, where a ray sees the world: its maps have a lobe's tails, which the ray was drawn from, too
+MOST = 3  # fragments of a cone
+GAPS = 2.0  # times the variance of a fragment's normals, added for lamps
+
+
+class ConePaths(WideLamps):
+    """One thread's paths by cones. light: ConeLight, what all threads share."""
+
+    def __init__(self, stage, light):
+        super().__init__(light.stage(stage, light.rays), light, ROOM)
+        n = ROOM
+        self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.weak)
+        self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
+        self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
+        self.passed = np.empty((2, self.alpha.shape[1], 3))
+        self.none = np.zeros(n, np.bool_)
+        self.lobe_cones = allocate_lobe_cones(n, allocate_cones(n))
+        # sub-rays are weighed when their cones are followed: one room for their weights will do
+        self.next_cones = allocate_lobe_cones(n, allocate_cones(n))._replace(weights=self.lobe_cones.weights)
+        self.met = paths.allocate_paths(n, self.stage.camera.camera_from_world)
+        self.met_fragments = allocate_fragments(n)
+        self.escaped = np.empty(n, np.uint64)
+        self.then = self.met
+        self.lobe_alpha, self.behind = np.zeros(n, np.float32), np.ones((n, 3), np.float32)
+        self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
+        # behind first surfaces, lobes and samples share the lamps but where these have cones
+        self.glinting, self.glints = np.inf if light.many else STRONG, False
+        self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
+        self.going = 0
+
+    def waiting_cones(self):
+        return self.lobe_cones
+
+    def detail(self, now, n: int, bounce: int) -> np.ndarray:
+        """Less of what is weak behind a first surface, or small: its noise weighs less than means cost."""
+        if bounce:
+            return np.where(now.throughput[:n].max(1) < STRONG, np.uint8(POINT), np.uint8(EVERY))
+        return np.where(self._small(n), np.uint8(SOME), np.uint8(EVERY))
+
+    def shaded(self, now, n: int, bounce: int) -> None:
+        if bounce:
+            self.flat[:n] = 1.0
+            # what arrives is a part of a lobe: surfaces behind it reflect that part, and not a ray
+            self.spread[:n] = 0.5 * self.lobe_alpha[:n] ** 2
+            widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
+        super().shaded(now, n, bounce)
+
+    def roulette(self, now, n: int, alive, bounce: int) -> None:
+        """What is weak is left to chance where it is scattered; here, lights that rays met have been counted."""
+        now.throughput[:n] *= self.behind[:n]
+
+    def _direct_light(self, now, n: int, alive, bounce: int) -> None:
+        self.small = self._small(n) if bounce == 0 else None
+        bends = bounce == 0 and self.light.bends
+        if bounce == 0 and self.light.shares:
+            self.shared_light.see(self._cone_widths(now, n))
+        self._scatter(now, n, alive, bounce, self.curved[:n] > 0.0 if bends else self.none)
+        lobes, light = self.lobes, self.light
+        lobes.count[:n][~alive] = 0
+        if bends:
+            bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
+        keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
+        if bounce:
+            if light.extended:
+                sample_widened(lobes, now.throughput, self.glinting, np.int64(n))
+            weak = alive & (now.throughput[:n].max(1) < STRONG)
+            self.stage, self.glints, self.repeats = self.weak_stage, True, 1
+            super()._direct_light(now, n, weak, bounce)
+            lobes.count[:n][weak] = 0
+            alive = alive & ~weak
+        self.stage, self.glints, self.repeats = self.strong_stage, light.many, light.world_rays
+        if bounce == 0:
+            self.shared_light.begin(lobes, now.throughput, self.frames.position, self.first, n)
+        if light.rays.turns:
+            super()._direct_light(now, n, alive, bounce)
+        self.small = None
+        if len(light.lamps.shape) and lobes.count[:n].any():
+            self.light_wide_lamps(now, n, bounce)
+
+    def _look_at_light(self, now, m: int, turn) -> None:
+        """As SharingPaths; a lamp of its own finds no gaps between the lobes of neighbours on a curved surface."""
+        if self.small is None or turn is None or turn[0] != LAMP:
+            super()._look_at_light(now, m, turn)
+            return
+        count, lobes = np.int64(self.count), self.lobes
+        kinds = lobes.kind[:count].copy()
+        widen_more(lobes, self.curved, GAPS, self.alpha, count)
+        super()._look_at_light(now, m, turn)
+        widen_more(lobes, self.curved, 0.0, self.alpha, count)
+        lobes.kind[:count] = kinds  # mirrors are mirrors again, though they bend
+
+    def sample_lights(self, m: int, turn=None):
+        """Light samples: of the world and what shines, lobes see their part themselves (share_with_lobes)."""
+        chosen = super().sample_lights(m, turn)
+        chosen.mis[:] = False
+        # what is asked several times counts once
+        if turn == (WORLD, 0):
+            chosen.pdf[:] *= self.asked[self.lit_rows[:m]]
+        else:
+            chosen.pdf[:] *= self.stage.lights.turns.count(turn)
+        chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
+        return chosen
+
+    def connect(self, now, m: int, chosen) -> int:
+        glints, kind = self.glints, chosen.kind
+        shared = glints or bool((kind == TRIANGLE).any())
+        if shared:
+            pdf = self._own_pdf(m, chosen)
+            share_with_lobes(
+                self.lobes, self.view.incoming, self.lit_rows, chosen, pdf, self.light.lights.arrays.lamps.mis,
+                glints, self.small is None, self.integrated, np.int64(m), self.shared,
+            )  # fmt: skip
+        if self.asks == LAMP:
+            self.shared_light.of_lamps(chosen, self.lit_rows[:m])
+        count = super().connect(now, m, chosen)
+        if shared:
+            restore_lobes(self.lobes, self.lit_rows, chosen, glints, np.int64(m), self.shared)
+        return count
+
+    def _own_pdf(self, m: int, chosen) -> np.ndarray:
+        """(m,) densities of samples against those of lobes: of emitters as `_emission` asks for them."""
+        times = max(self.stage.lights.turns.count(None), 1)  # lobes know of one sample
+        pdf = np.where(chosen.kind == LAMP, chosen.pdf / times, 0.0)
+        found = np.flatnonzero(chosen.kind == TRIANGLE)
+        if len(found):
+            pdf[found] = self.strong_stage.lights.emitter_pdf(
+                chosen.path[found], chosen.triangle[found], self.lit_position[found], self.lit_normal[found],
+                self.lit_transmissive[found], chosen.direction[found], chosen.distance[found],
+            )  # fmt: skip
+        return pdf
+
+    def _small(self, n: int) -> np.ndarray:
+        """(n,) bool: fragments that weigh too little for cones, and for more than half of the rays to the world."""
+        return self.space.fragments.count[self.first : self.first + n] < LARGE
+
+    def _scatter(self, now, n: int, alive, bounce: int, bent) -> None:
+        """Paths behind the surfaces, and their cones. bent: see scatter_lobes."""
+        glinting = self.glinting if bounce or self.light.many else 0.0
+        self.going = scatter_lobes(
+            now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
+            self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
+            self.integrated, self.none if self.small is None else self.small, bent, self.limit, glinting,
+            self.shared_light.lobes, np.int64(self.first), self.passed,
+        )  # fmt: skip
+
+    def scatter(self, now, n: int, alive, bounce: int) -> None:
+        """Nothing: `_direct_light` has done it, for it drops lobes."""
+
+    def move(self, now, then, n: int, alive) -> int:
+        self.lobe_cones, self.next_cones = self.next_cones, self.lobe_cones
+        return self.going
+
+    def meet(self, tile, now, then, n: int, bounce: int) -> int:
+        self.then = then
+        if bounce == 1 and self.light.shares_lobes:
+            self.shared_light.count_lobe_rays(now.slot, self.hits, n)
+        return super().meet(tile, now, then, n, bounce)
+
+    def _bounce(self, tile, now, then, n: int, bounce: int) -> int:
+        """What the cones of n paths see is met; returns how many paths go on from there, in `then`."""
+        light, lobes, met, hits = self.light, self.lobe_cones, self.met, self.hits
+        weigh_sub_rays(lobes, np.int64(n))
+        strong = STRONG if bounce == 1 else 1.0
+        thin_out(now, lobes, self.samples, self.stage.tables, np.int64(bounce), strong, np.int64(n))
+        most = max(1, min(MOST if bounce == 1 else 1, ROOM // n - 1))
+        merging = Merging(most=most, seed=self.stage.settings.seed + bounce)
+        met.rays.skip_triangle[:] = -1
+        cones = int(np.count_nonzero(lobes.alpha[:n] >= 0))
+        self.counters.update(lobe_cones=cones, lobe_rays=n - cones)
+        count = 0
+        if cones:
+            count = gather(
+                light.acceleration, light.prefiltered()[1], lobes.cones, self.met_fragments, met.rays, hits,
+                self.escaped, None, 0, n, merging=merging, weights=lobes.weights,
+            )  # fmt: skip
+            if bounce == 1 and light.many and len(light.lights.arrays.met_lamps):
+                self._see_lamps(now, count, n)
+        counts = follow_cones(
+            now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
+            self.lobe_alpha, self.behind, self.around,
+        )  # fmt: skip
+        total = sum(counts)
+        if counts[2]:
+            rays = slice(total - counts[2], total)
+            walk.intersect(light.acceleration, met.rays, hits, rays.start, rays.stop)
+            self.lobe_alpha[rays][hits.triangle[rays] < 0] *= OF_SKY
+        self.counters["lobe_fragments"] += counts[0]
+        frames(self.stage.shader.geometry, met.rays, hits, self.frames, 0, total)
+        return self.meet(tile, met, then, total, bounce) if total else 0
+
+    def _see_lamps(self, now, count: int, n: int) -> None:
+        """Add the lamps that the cones of n paths see, between the `count` fragments that they meet."""
+        arrays, fragments = self.light.lights.arrays, self.met_fragments
+        begin, seen = np.empty(n + 1, np.int64), np.empty((n, 3), np.float32)
+        first_fragments(fragments, np.int64(count), begin)
+        near = np.empty(len(arrays.met_lamps), np.int32)
+        lamps_in_cones(
+            arrays.lamps, arrays.tree, arrays.met_lamps, now, self.lobe_cones, fragments, begin, np.int64(n), near,
+            seen,
+        )  # fmt: skip
+        paths.add_radiance(now, self.samples, self.stage.limits, seen, self.ones[:n], n)
+
+    def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:
+        stage, self.stage = self.stage, self.weak_stage  # whose samples share lamps with what lobes see
+        super()._met_lights(now, rays, n, alive, bounce)
+        self.stage = stage
+
+    def pdf_of_lamps(self, now, n: int, bounce: int) -> np.ndarray:
+        """Lamps are seen where nothing widens the view, or as the part that samples leave to lobes."""
+        shared = np.where((now.flags[:n] & SEES_LAMPS) != 0, now.bsdf_pdf[:n], 0.0)
+        seen = np.where((now.flags[:n] & NO_LAMPS) != 0, 0.0, np.inf)
+        return np.where((self.lobe_alpha[:n] <= 0.0) | (bounce == 0), seen, shared)
+
+    def seen_world(self, now, rays, rows: np.ndarray, bit: int):
+        """The world, blurred by the lobes that see it; light samples look for it at diffuse lobes alone."""
+        maps = {GLOSSY: self.light.world.glossy, TRANSMISSION: self.light.world.transmission}.get(bit)
+        if maps is None:
+            return self.stage.lights.world_radiance(rays.direction[rows], bit), 1.0
+        weight = np.where(now.bsdf_pdf[rows] == BY_SAMPLES, 0.0, 1.0)
+        radiance = np.empty((len(rows), 3), np.float32)
+        sharp = self.lobe_alpha[rows] <= 0.0
+        if sharp.any():
+            radiance[sharp] = self.stage.lights.world_radiance(rays.direction[rows[sharp]], bit)
+        wide = rows[~sharp]
+        if len(wide):
+            seen = np.empty((len(wide), 3), np.float32)
+            look_at_world(maps, rays.direction, self.lobe_alpha, wide, seen)
+            radiance[~sharp] = seen
+        return radiance, weight
+
+
+@uncounted
+def look_at_world(maps, direction, alpha, rows, out):
+    """World radiance that lobes of roughness alpha (N,) see in direction (N, 3), `rows` of them, to out (R, 3)."""
+    for i in range(len(rows)):
+        k = rows[i]
+        r, g, b = world_lobe(maps, np.float64(alpha[k]), direction[k, 0], direction[k, 1], direction[k, 2])
+        out[i, 0], out[i, 1], out[i, 2] = r, g, b

@@ -1,0 +1,180 @@
+"""Direct light of wide lamps: their open light, times the share that a cone from every point finds free.
+
+A cone knows of surfaces only that they hide. What it meets that lets light through is asked for by rays instead, from
+the same point, which take its colour and its holes as they are.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.forward.shading.lobe_light import shade_lamps
+from pointmr_engine.multires.cones.cones import allocate_cones
+from pointmr_engine.multires.cones.lamp_cones import (
+    ALL,
+    NOTHING,
+    TERMS,
+    lamp_cones,
+    lit_from_behind,
+    raise_points,
+    take_shares,
+)
+from pointmr_engine.multires.paths.shadow_edges import LARGE
+from pointmr_engine.multires.paths.sharing_paths import SharingPaths
+from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.raytracing import paths
+from pointmr_engine.raytracing.integrator import NEXT
+from pointmr_engine.raytracing.lamps import sample_lamp
+from pointmr_engine.scene.group import SHADOW
+from pointmr_engine.shading.bsdf.vector import dot, row3
+
+# rays of a fragment to a lamp behind something that light passes; of a small one, and behind it, one
+LOOKS = 4
+_SHORT = 1.0 - 1e-6  # of the way to a lamp
+
+
+@uncounted
+def lamp_rays(lamps, i, position, lobes, behind, offset, hits, depth, rows, u, count, out, total):
+    """Shadow rays from points rows[0..count] to the places u (N, 3) of lamp i; returns how many.
+
+    Each brings the irradiance that it stands for, by the points' normals, which is added to total (N,) float64, by
+    point. position (N, 3) float64; behind (N,) uint8: lamp_cones.lit_from_behind; offset (N,) float64; depth (N,):
+    surfaces that let the path through before. out: direct_light.ShadowRays, of which a ray's slot is its point.
+    """
+    n = np.int64(0)
+    for j in range(count):
+        k = np.int64(rows[j])
+        normal = row3(lobes.normal, k)
+        dx, dy, dz, distance, pdf, scale = sample_lamp(
+            lamps, i, position[k, 0], position[k, 1], position[k, 2], normal[0], normal[1], normal[2],
+            behind[k] == ALL, u[j, 1], u[j, 2],
+        )  # fmt: skip
+        cosine = dot(normal, (dx, dy, dz))
+        if not pdf > 0.0 or (cosine <= 0.0 and behind[k] == NOTHING):
+            continue
+        light = abs(cosine) * scale / pdf
+        if not (light > 0.0 and math.isfinite(light)):
+            continue
+        total[k] += light
+        out.slot[n] = out.source[n] = k
+        out.whole[n] = light
+        out.passed[n] = depth[k]
+        out.raised[n] = False
+        for a in range(3):
+            out.light[n, a] = light
+            out.matt[n, a] = out.glossy[n, a] = 0.0
+            out.rays.origin[n, a] = position[k, a]
+        out.rays.direction[n, 0], out.rays.direction[n, 1], out.rays.direction[n, 2] = dx, dy, dz
+        out.rays.t_min[n] = offset[k]
+        out.rays.t_max[n] = distance * _SHORT
+        out.rays.visibility[n] = SHADOW
+        above = dot(row3(lobes.geometric_normal, k), (dx, dy, dz)) > 0.0
+        out.rays.skip_triangle[n] = hits.triangle[k] if above else -1
+        out.rays.skip_path[n] = hits.path[k]
+        n += 1
+    return n
+
+
+class WideLamps(SharingPaths):
+    """Paths whose surfaces see wide lamps by cones. light: ConeLight, what all threads share."""
+
+    def __init__(self, stage, light, room: int):
+        super().__init__(stage, light, room)
+        n = room
+        self.width = np.empty(n, np.float32)
+        self.behind_lit = np.empty(n, np.uint8)
+        self.raised = np.empty((n, 3))
+        self.received, self.open = np.zeros((2, n, 3), np.float32)
+        self.ones = np.ones(n)
+        self.share = np.ones((len(light.lamps.shape), n), np.float32)
+        self.rows = np.empty(n, np.int32)
+        self.terms = np.empty((n, TERMS))
+        self.cones = allocate_cones(n)
+        self.masks = np.empty(n, np.uint64)
+        self.passes = self.stage.needs.transparent_shadows and len(light.lamps.shape) > 0
+        if self.passes:
+            self.through, self.total = paths.allocate_samples(n), np.zeros(n)
+
+    def light_wide_lamps(self, now, n: int, bounce: int) -> None:
+        """Add the light of lamps that take cones."""
+        lobes, lamps, count = self.lobes, self.light.lamps, np.int64(n)
+        self.received[:n] = 0.0
+        reach = np.where(np.isfinite(self.hits.t[:n]), self.hits.t[:n], 0.0)
+        self.width[:n] = now.state.width[:n] + now.state.spread[:n] * reach
+        lit_from_behind(lobes, self.behind_lit, count)
+        for i in range(len(lamps.shape)):
+            rows = self._shadow(i, n)
+            if len(rows):
+                self._add_through(now, i, rows, n, bounce)
+        self._shade(lamps, self.share, n, self.received)
+        paths.add_radiance(now, self.samples, self.stage.limits, self.received[:n], self.ones[:n], n)
+
+    def _shade(self, lamps, share, n: int, out) -> None:
+        """Add what points 0..n send of lamps to the viewer, of whose light `share` (lamps, N) arrives, to out."""
+        shade_lamps(
+            self.lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, lamps, share, np.int64(0),
+            np.int64(n), out,
+        )  # fmt: skip
+
+    def _starts(self, i: int, n: int) -> np.ndarray:
+        """(N, 3) where what points 0..n send to lamp i starts."""
+        if not self.raises:
+            return self.frames.position
+        raise_points(
+            self.light.lamps, np.int64(i), self.stage.shader.geometry.tables, self.hits, self.frames,
+            self.lobes.normal, self.lobes.count, np.int64(n), *self.triangle, self.raised,
+        )  # fmt: skip
+        return self.raised
+
+    def _shadow(self, i: int, n: int) -> np.ndarray:
+        """Fill the share of lamp i that arrives at points 0..n; returns those that see it through something: 0."""
+        lamps, share, masks, rows = self.light.lamps, self.share[i], self.masks, self.rows
+        share[:n] = 1.0
+        m = lamp_cones(
+            lamps, np.int64(i), self._starts(i, n), self.lobes.normal, self.behind_lit, self.width,
+            self.frames.offset, self.lobes.count, np.int64(n), self.cones, rows, self.terms,
+        )  # fmt: skip
+        self.counters["lamp_cones"] += m
+        through = rows[:0]
+        if not m:
+            return through
+        self.light.blocked(self.cones, m, masks)
+        if self.passes:
+            met = np.flatnonzero(masks[:m])
+            m, everything = len(met), masks[met]
+            for a in (*self.cones, self.terms, rows):
+                a[:m] = a[met]
+            self.light.blocked(self.cones, m, masks, solid=True)
+            through = rows[:m][masks[:m] != everything].copy()
+        take_shares(masks, lamps.shape[i], self.cones, self.terms, self.behind_lit, rows, np.int64(m), share)
+        share[through] = 0.0
+        return through
+
+    def _add_through(self, now, i: int, rows: np.ndarray, n: int, bounce: int) -> None:
+        """Add what points `rows` send of lamp i, seen through surfaces by rays, to what points 0..n have received."""
+        lamp, own, samples = self.light.alone[i], self.through, self.samples
+        slots, start = now.slot[rows], self._starts(i, n)
+        own.seed[rows], own.number[rows] = samples.seed[slots], samples.number[slots]
+        own.radiance[rows], self.total[rows] = 0.0, 0.0
+        chosen = np.zeros(n, np.bool_)
+        chosen[rows] = True
+        for look in range(LOOKS if bounce == 0 else 1):
+            if look == 1:
+                chosen[self.space.fragments.count[self.first : self.first + n] < LARGE] = False
+            m = self.choose_points(now, n, chosen, bounce)
+            self.shift_points(m, (i + 1 + look * len(self.share)) * NEXT)
+            rays = lamp_rays(
+                lamp, np.int64(0), start, self.lobes, self.behind_lit, self.frames.offset, self.hits,
+                now.state.transparent_depth, self.lit_rows, self.lit_u, np.int64(m), self.shadows, self.total,
+            )  # fmt: skip
+            self.samples = own  # their slots are points
+            self.follow_shadow_rays(now, rays)
+            self.samples = samples
+        share = np.zeros((1, n), np.float32)
+        share[0, rows] = 1.0
+        self.open[rows] = 0.0
+        self._shade(lamp, share, n, self.open)
+        arrived = own.radiance[rows] / np.maximum(self.total[rows], 1e-300)[:, None]
+        self.received[rows] += self.open[rows] * arrived.astype(np.float32)

@@ -1,0 +1,169 @@
+"""What a thread's fragments receive together: light of the world, of lamps that rays ask for, and what rays in rough
+lobes find. Each kind is gathered by itself, for each changes along a surface in its own way (light_sharing).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.multires.sharing.light_shares import (
+    allocate_shares,
+    begin_shares,
+    count_blocked,
+    count_lobe_rays,
+    count_near,
+    take_light,
+    take_reflected,
+    take_turns,
+)
+from pointmr_engine.multires.sharing.light_sharing import OF_LAMPS, OF_LOBE, OF_WORLD, share_light
+from pointmr_engine.raytracing.lights import LAMP
+
+CLOSEST = 0.5  # widths of a cone: how near things may be for what they do to light
+POINT_WIDTH = 0.01  # of light from one direction: nothing is as sharp as it in an image
+
+
+class SharedLight:
+    """One thread's shares. Rows are the tile's fragments; a batch is its fragments first..first + n.
+
+    world, lamps, lobes: Shares, empty where there is nothing of the kind. `room`: samples of fragments under way at
+    once; rays that lobes share bring their light to samples of their own, `room` rows behind those of their fragments.
+    """
+
+    def __init__(self, light, room: int):
+        self.has_world, self.has_lamps, self.has_lobes = (
+            light.shares_world, light.shares_lamps, light.shares_lobes
+        )  # fmt: skip
+        self.room = room
+        self.world = self.lamps = self.lobes = allocate_shares(0)
+        self.lobe_rays, self.lobe_near = np.zeros((2, room if self.has_lobes else 0), np.float32)
+        self.lamp_width = np.ones(room)
+        self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(room, np.float32)
+        self.mis = light.lights.arrays.lamps.mis
+
+    def start_tile(self, fragments: int) -> None:
+        """Room for the fragments of a tile."""
+        if fragments == max(len(self.world.rays), len(self.lamps.rays), len(self.lobes.rays)):
+            return
+        if self.has_world:
+            self.world = allocate_shares(fragments)
+        if self.has_lamps:
+            self.lamps = allocate_shares(fragments)
+        if self.has_lobes:
+            self.lobes = allocate_shares(fragments)
+
+    def begin(self, lobes, throughput, position, first: int, n: int) -> None:
+        """The fragments of a batch have received nothing of the world and of lamps. Lobes begin as they scatter."""
+        for shares in (self.world, self.lamps):
+            if len(shares.rays):
+                begin_shares(lobes, throughput, position, np.int64(first), np.int64(n), shares)
+
+    def see(self, width: np.ndarray) -> None:
+        """The batch's fragments are seen by cones of that width (n,), metres."""
+        self.closest[: len(width)] = np.maximum(CLOSEST * width, 1e-30)
+
+    def of_lamps(self, chosen, rows: np.ndarray) -> None:
+        """Remember from how wide an angle the light of samples `chosen` comes, for the batch's points `rows`.
+
+        Without knowing how large each light is: the solid angle that a sample stands for is that of a light, over the
+        chance that the light was chosen, which the number of samples makes up for.
+        """
+        width = np.sqrt(1.0 / (2.0 * math.pi * np.maximum(chosen.pdf, 1e-12)))
+        lamps = np.flatnonzero(chosen.kind == LAMP)
+        width[lamps[~self.mis[chosen.index[lamps]]]] = 0.0
+        self.lamp_width[rows] = np.clip(width, POINT_WIDTH, 1.0)
+
+    def count_world_rays(self, shadows, hits, count: int, first: int) -> None:
+        """Note how near things are that rays 0..count to the world met."""
+        count_near(
+            shadows.source, hits.triangle, hits.t, self.closest, np.int64(count), np.int64(first), self.world
+        )
+
+    def count_rays(self, rays: np.ndarray, first: int) -> None:
+        """Note how many rays (n,) a batch's fragments have sent to the world."""
+        own = slice(first, first + len(rays))
+        self.world.rays[own] = self.world.worth[own] = rays
+
+    def take_world(self, radiance, before, rays: np.ndarray, first: int) -> None:
+        """What a batch's radiance has gained since `before` is shared; rays (n,): how many brought it."""
+        self.count_rays(rays, first)
+        take_light(radiance, before, np.int64(first), np.int64(len(rays)), self.world)
+
+    def take_turns(self, shadows, hits, count: int, first: int) -> None:
+        """Note how what rays 0..count to the world bring changes as surfaces turn."""
+        take_turns(
+            shadows.light, shadows.rays.direction, shadows.source, hits.triangle, np.int64(count), np.int64(first),
+            self.world,
+        )  # fmt: skip
+
+    def scale_turns(self, part: np.ndarray, first: int) -> None:
+        """Scale what is known of turns of a batch's fragments by part (n,): more rays than planned will bring it."""
+        self.world.turned[first : first + len(part)] *= part[:, None].astype(np.float32)
+
+    def take_lamps(self, shadows, hits, count: int, first: int, counts: bool) -> None:
+        """What shadow rays 0..count bring that nothing stops is shared; `counts`: these rays begin."""
+        n, at = np.int64(count), np.int64(first)
+        for shares, part in ((self.lamps, shadows.matt), (self.lobes, shadows.glossy)):
+            if not len(shares.rays):
+                continue
+            if counts:
+                count_blocked(
+                    shadows.source, hits.triangle, hits.t, shadows.rays.t_max, self.lamp_width, self.closest, n, at,
+                    shares,
+                )  # fmt: skip
+            take_reflected(shadows.light, part, shadows.source, hits.triangle, n, at, shares)
+
+    def received_of_lamps(self, first: int, n: int) -> np.ndarray:
+        """(n,) sums of channels of what a batch's fragments share of lamps, before lobes' rays bring more."""
+        own = slice(first, first + n)
+        return sum(
+            (s.light[own].sum(1, np.float64) for s in (self.lamps, self.lobes) if len(s.rays)), np.zeros(n)
+        )
+
+    def scale_lamps(self, part: np.ndarray, first: int) -> None:
+        """Scale what a batch's fragments have of lamps by part (n,): more rays than planned have brought it.
+
+        They are not worth more to their neighbours for it: who asks more hangs on what these have found.
+        """
+        own = slice(first, first + len(part))
+        for shares in (self.lamps, self.lobes):
+            if len(shares.rays):
+                shares.light[own] *= part[:, None].astype(np.float32)
+
+    def separate(self, samples, slots: np.ndarray, shared: np.ndarray, base: int, count: int) -> None:
+        """Paths with slots (n,) that are `shared` (n,) bool get samples of their own, copies of base..base + count."""
+        own, copies = slice(base, base + count), slice(self.room + base, self.room + base + count)
+        for column in samples:
+            column[copies] = column[own]
+        samples.radiance[copies] = 0.0
+        self.lobe_closest[own] = self.closest[:count]
+        self.lobe_rays[own] = self.lobe_near[own] = 0.0
+        slots[shared] += self.room
+
+    def count_lobe_rays(self, slots, hits, n: int) -> None:
+        """Note what paths 0..n with samples of their own met first."""
+        count_lobe_rays(
+            slots, hits.triangle, hits.t, self.lobe_closest, np.int64(n), np.int64(self.room), self.lobe_rays,
+            self.lobe_near,
+        )  # fmt: skip
+
+    def take_lobes(self, samples, first: int, base: int, count: int) -> None:
+        """What the rays of fragments first..first + count have found is shared; their samples begin at `base`."""
+        to, own = slice(first, first + count), slice(base, base + count)
+        self.lobes.light[to] += samples.radiance[self.room + base : self.room + base + count]
+        self.lobes.rays[to] += self.lobe_rays[own]
+        self.lobes.nearness[to] += self.lobe_near[own]
+
+    def give(self, space, count: int) -> None:
+        """Add what the tile's fragments 0..count receive together to space.light."""
+        f, image = space.fragments, space.image
+        side = image.subpixels // image.cone
+        shape = tuple(side * n for n in space.used.shape)
+        for change, shares in ((OF_WORLD, self.world), (OF_LAMPS, self.lamps), (OF_LOBE, self.lobes)):
+            if len(shares.rays):
+                eye = image.camera.world_from_camera[:, 3]
+                if not image.view.perspective:
+                    eye, change = shares.position[0], change._replace(view=0.0)
+                share_light(f.x, f.y, image.cone, change, shares, count, shape, eye, space.light)
