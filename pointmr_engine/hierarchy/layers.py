@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.tangents import corner_tangents
 from pointmr_engine.numerics.pointers import address_of, pointer_f32, pointer_i32
 from pointmr_engine.scene.mesh import Mesh
+
+if TYPE_CHECKING:
+    from pointmr_engine.hierarchy.geometry import Geometry
 
 NONE, VERTEX, CORNER, FACE, CONSTANT = range(5)
 _DOMAINS = {"vertex": VERTEX, "corner": CORNER, "face": FACE, "constant": CONSTANT}

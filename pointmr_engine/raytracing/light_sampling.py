@@ -11,9 +11,10 @@ from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing.emitters import Emitters, emitter_density, find_emitter, sample_emitter
 from pointmr_engine.raytracing.environment import WorldMap, sample_world, world_density
 from pointmr_engine.raytracing.lamps import Lamps, intersect_lamp, lamp_pdf_scale, sample_lamp
-from pointmr_engine.raytracing.light_tree import TRIANGLE as TRIANGLE_NODE
-from pointmr_engine.raytracing.light_tree import WORLD as WORLD_NODE
-from pointmr_engine.raytracing.light_tree import LightTree, choose_light, light_probability
+from pointmr_engine.raytracing.light_tree import choose_light, light_probability
+from pointmr_engine.raytracing.light_tree_nodes import TRIANGLE as TRIANGLE_NODE
+from pointmr_engine.raytracing.light_tree_nodes import WORLD as WORLD_NODE
+from pointmr_engine.raytracing.light_tree_nodes import LightTree
 from pointmr_engine.scene.group import CAMERA
 
 NONE, LAMP, TRIANGLE, WORLD = 0, 1, 2, 3

@@ -27,7 +27,7 @@ from pointmr_engine.raytracing.light_sampling import (
     allocate_light_samples,
     power_heuristic,
 )
-from pointmr_engine.raytracing.light_tree import build_light_tree
+from pointmr_engine.raytracing.light_tree_build import build_light_tree
 from pointmr_engine.raytracing.surface import points_at
 from pointmr_engine.scene.scene import Scene
 

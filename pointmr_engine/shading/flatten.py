@@ -7,9 +7,9 @@ import numpy as np
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.shading import leaves as L
 from pointmr_engine.shading.compiler import Builder, Constant, Source, Step, constant
+from pointmr_engine.shading.leaf_plan import LeafPlan, leaf_template
 from pointmr_engine.shading.nodes import NODES, SHADERS
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, From, ShaderType
-from pointmr_engine.shading.program import LeafPlan, leaf_template
 
 
 def flatten(

@@ -7,14 +7,15 @@ and says what the program needs of a point. `Program.evaluate` then runs every r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pointmr_engine.scene.graph import Graph
 from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
 from pointmr_engine.shading.differentials import axes_at, moved_points
+from pointmr_engine.shading.flatten import flatten
 from pointmr_engine.shading.footprint_mean import NEEDS
+from pointmr_engine.shading.leaf_plan import LeafPlan
 from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION, Leaf
 from pointmr_engine.shading.nodes.registry import Call
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
@@ -22,29 +23,6 @@ from pointmr_engine.shading.values import normalize
 
 PLACES = frozenset({"position", "local", "generated", "uv", "attribute", "window"})
 BLUNT = 0.45  # roughness from which lobes are wider than what most bumps would make of them
-
-
-@dataclass(frozen=True)
-class LeafPlan:
-    """How a leaf is filled: which source fills which columns, and what each varies with.
-
-    columns: (first column, number of columns, source); column_varying: input name -> subset of {"surface", "view",
-    "ray", "instance"}; normals: the Leaf's fields "normal", "coat_normal", "tangent",
-    "surface_normal" -> source.
-    """
-
-    kind: int
-    columns: tuple[tuple[int, int, Source], ...]
-    column_varying: dict[str, frozenset[str]]
-    normals: dict[str, Source]
-    distribution: str
-    max_lobes: int
-    template: np.ndarray  # (1, columns) float32, the constant columns filled
-
-    @property
-    def varying_with(self) -> frozenset[str]:
-        """What anything of the leaf varies with."""
-        return frozenset().union(*self.column_varying.values())
 
 
 class Plan:
@@ -326,24 +304,12 @@ def _fill(leaf: LeafPlan, memo: dict[tuple[int, str], np.ndarray]) -> Leaf:
     return Leaf(leaf.kind, block, distribution=leaf.distribution, **normals)
 
 
-def leaf_template(kind: int, columns: list[tuple[int, int, Source]]) -> np.ndarray:
-    """A leaf's block of one row, with what is constant filled in."""
-    block = np.zeros((1, len(COLUMNS[kind])), np.float32)
-    for first, width, source in columns:
-        if isinstance(source, Constant):
-            block[0, first : first + width] = source.value.ravel()
-    block.flags.writeable = False
-    return block
-
-
 def compile_graph(graph: Graph, kind: str = "surface", filtered: bool = True) -> Program:
     """Compile a material ("surface"), world ("background") or lamp ("light") graph. Never raises for odd nodes.
 
     filtered: images are averaged over the ray's footprint. Without, they are read at the point: right where many rays
     share a pixel, whose mean is then the filter, after shading instead of before.
     """
-    from pointmr_engine.shading.flatten import flatten
-
     steps, leaves, transparency, emission, warnings = flatten(graph, kind, filtered)
     unfiltered = None
     if filtered and transparency:

@@ -26,7 +26,7 @@ from pointmr_engine.multires.alpha.a_buffer import (
 )
 from pointmr_engine.multires.alpha.layer_shapes import CUT, SIGMA
 from pointmr_engine.multires.fragments.merge import copy_fragment, join, mergeable, unit_normal
-from pointmr_engine.multires.method import CELL, TracedTiles
+from pointmr_engine.multires.tiles import CELL, TracedTiles
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, pixel_seed
 

@@ -51,7 +51,7 @@ from pointmr_engine.multires.lens.lens_merge import (
     merge_views,
     place_merged,
 )
-from pointmr_engine.multires.method import TracedTiles
+from pointmr_engine.multires.tiles import TracedTiles
 from pointmr_engine.numerics.dither import SIDE
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.scene.group import CAMERA
