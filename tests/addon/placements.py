@@ -7,6 +7,9 @@ from typing import NamedTuple
 import bpy
 import numpy as np
 
+from blender_addon import sync
+from pointmr_engine.scene import group as groups
+
 
 class Shown(NamedTuple):
     """One mesh in the world."""
@@ -128,3 +131,39 @@ def with_depsgraph(action):
     if error is not None:
         raise error
     return result
+
+
+def export():
+    """(engine scene, messages, what Blender shows)."""
+
+    def action(depsgraph):
+        said = []
+        result = sync.export(depsgraph, report=lambda level, text: said.append((level, text)))
+        return result, said, by_blender(depsgraph)
+
+    return with_depsgraph(action)
+
+
+def check(count: int | None = None):
+    """Export, compare with Blender, and give back (engine scene, messages, what ours shows)."""
+    result, said, theirs = export()
+    ours = by_engine(result.root)
+    assert differences(ours, theirs) == ""
+    _, instanced, _ = groups.count_triangles(result.root)
+    assert instanced == sum(s.triangles for s in theirs)
+    if count is not None:
+        assert len(ours) == count, names(ours)
+    return result, said, ours
+
+
+def seeds_agree(ours, theirs) -> None:
+    """Every placement that Blender gives a random id has it, where one level of instancing made it."""
+
+    def key(s):
+        return (s.triangles, *np.round(s.matrix, 3).ravel())
+
+    expected = {}
+    for s in theirs:
+        expected.setdefault(key(s), set()).add(s.seed)
+    for s in ours:
+        assert s.seed in expected[key(s)], s.name
