@@ -37,17 +37,14 @@ FAR = 1e30  # bounds of nothing
 
 
 class Eights(NamedTuple):
-    """The rows of a table in eights, those of a block of cones one after the other; the last of a block is filled up.
-
-    Addresses are those of what must be kept alive beside it: rows, bounds, terms, sums.
-    """
+    """A table's rows in eights, those of a block of cones one after the other; the last of a block is filled up."""
 
     row: np.ndarray  # (E, 8) int32 of the table; -1: filled up
     block: np.ndarray  # (blocks + 1,) int32: first eights of blocks, which come line by line
     lanes: np.ndarray  # (E, LANE_FLOATS) float32: the rows, by sharing_lanes
     bounds: np.ndarray  # (E / 8 + 1, BOUND_FLOATS) float32
-    terms: np.ndarray  # (TERMS,) float32
-    sums: np.ndarray  # (SUMS, 8) float32
+    terms: np.ndarray  # (TERMS,) float32: what sharing_lanes reads of who hears
+    sums: np.ndarray  # (SUMS, 8) float32: what one row hears, lane by lane
     address: np.ndarray  # (4,) uint64: of lanes, bounds, terms and sums
 
 

@@ -27,7 +27,7 @@ SUMS = 12
 
 ALMOST = 0.9999  # of a cosine of normals whose sum has been rounded
 
-# what hear_eight and hearing read of one fragment, or of eight of them, splat: see `Change`
+# of who hears: 1 / the change at which it hears no more; the change by turning; 1 / (cones squared) where it does not
 NARROW, TURN, FALLOFF = range(3)
 TERMS = 3
 
@@ -46,8 +46,8 @@ def _column(t: Terms, data, eight, column: int) -> Term:
 def hearing(typingctx, bounds, group, own, terms):
     """Bit mask of the eights 8 group..8 group + 7 of which one may hear something that lies in `own`'s bounds.
 
-    bounds: address of float32, BOUND_FLOATS a group; own: number of an eight; terms: address of float32, LIMIT to
-    FALLOFF: the largest change at which `own` hears, of turning, and 1 / (cones squared) at which nobody does.
+    bounds: address of float32, BOUND_FLOATS a group; own: number of an eight; terms: address of float32, NARROW to
+    FALLOFF, of the row in `own` that hears most.
     """
     i, u = types.int64, types.uint64
 
@@ -92,9 +92,8 @@ def hearing(typingctx, bounds, group, own, terms):
 def hear_eight(typingctx, rows, eight, own, lane, terms, itself, sums):
     """Add to sums what the row `lane` of the eight `own` hears of the rows of an eight.
 
-    rows: address of float32, LANE_FLOATS an eight; terms: address of float32, LIMIT to FALLOFF: the change at which the
-    row hears no more, of turning, and 1 / (cones squared) at which it does not; itself: mask of the row, which it hears
-    whole; sums: address of SUMS rows of eight float32.
+    rows: address of float32, LANE_FLOATS an eight; terms: address of float32, NARROW to FALLOFF, of the row; itself:
+    mask of the row, which it hears whole; sums: address of SUMS rows of eight float32.
     """
     i, u = types.int64, types.uint64
 
