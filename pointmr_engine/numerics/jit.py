@@ -16,7 +16,3 @@ uncounted = njit(**_KERNEL)
 
 # The same for functions that only kernels call: without entries from Python and C they also compile much faster.
 device = njit(**_INNER)
-
-# The same as `device` for loops that sum floats over long runs: the order of a sum's terms is LLVM's choice, so that it
-# can add vectors. For sums that never mean more than their rounding.
-summed = njit(fastmath={"reassoc"}, **_INNER)

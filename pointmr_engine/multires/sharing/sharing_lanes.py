@@ -36,10 +36,20 @@ def _square(x: Term, y: Term, z: Term) -> Term:
     return (x * x).plus_product(y, y).plus_product(z, z)
 
 
-def _column(t: Terms, data, eight, column: int) -> Term:
+def _rows(t: Terms, data, eight, one):
+    """(theirs, its): what reads a row of eight values from offset `eight` on, and one value from `one` on, splat."""
     b = t.builder
-    at = b.add(b.mul(eight, ir.Constant(_i64, LANE_FLOATS)), ir.Constant(_i64, column * WIDTH))
-    return Term(b, _load(b, data, at))
+
+    def at(base, row: int):
+        return b.add(base, ir.Constant(_i64, row * WIDTH))
+
+    def theirs(row: int) -> Term:
+        return Term(b, _load(b, data, at(eight, row)))
+
+    def its(row: int) -> Term:
+        return t.splat(b.load(b.gep(data, [at(one, row)])))
+
+    return theirs, its
 
 
 @intrinsic
@@ -59,12 +69,7 @@ def hearing(typingctx, bounds, group, own, terms):
         lane = builder.and_(args[2], ir.Constant(_i64, WIDTH - 1))
         mine = builder.add(builder.mul(shift, ir.Constant(_i64, BOUND_FLOATS)), lane)
 
-        def theirs(row):
-            return Term(builder, _load(builder, data, builder.add(base, ir.Constant(_i64, row * WIDTH))))
-
-        def its(row):
-            at = builder.add(mine, ir.Constant(_i64, row * WIDTH))
-            return t.splat(builder.load(builder.gep(data, [at])))
+        theirs, its = _rows(t, data, base, mine)
 
         def gap(column):
             high, low = BOUNDED + column, column
@@ -100,14 +105,8 @@ def hear_eight(typingctx, rows, eight, own, lane, terms, itself, sums):
     def codegen(context, builder, signature, args):
         t = Terms(builder)
         data, term, out = t.pointer(args[0]), t.pointer(args[4]), t.pointer(args[6])
-        mine = builder.add(builder.mul(args[2], ir.Constant(_i64, LANE_FLOATS)), args[3])
-
-        def theirs(column):
-            return _column(t, data, args[1], column)
-
-        def its(column):
-            at = builder.add(mine, ir.Constant(_i64, column * WIDTH))
-            return t.splat(builder.load(builder.gep(data, [at])))
+        base, mine = (builder.mul(eight, ir.Constant(_i64, LANE_FLOATS)) for eight in args[1:3])
+        theirs, its = _rows(t, data, base, builder.add(mine, args[3]))
 
         def away(column):
             return theirs(column) - its(column)
