@@ -7,7 +7,9 @@ index the pointer. Whoever makes such a table must keep the arrays alive (hierar
 from __future__ import annotations
 
 import numpy as np
+from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 
@@ -54,6 +56,23 @@ def _loader(value_type, result_type):
         return result_type(address, types.int64), codegen
 
     return load
+
+
+@intrinsic
+def prefetch(typingctx, address):
+    """Ask for the cache line of an address, which is not waited for and need not be valid."""
+    if not isinstance(address, types.Integer):
+        return None
+
+    def codegen(context, builder, signature, args):
+        byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+        type_ = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+        function = cgutils.get_or_insert_function(builder.module, type_, "llvm.prefetch.p0")
+        to_read, into_all_caches, data = (ir.Constant(word, k) for k in (0, 3, 1))
+        builder.call(function, [builder.inttoptr(args[0], byte), to_read, into_all_caches, data])
+        return context.get_dummy_value()
+
+    return types.void(types.int64), codegen
 
 
 def _storer(value_type):

@@ -19,6 +19,7 @@ from pointmr_engine.numerics.pointers import (
     load_i32,
     load_i64,
     load_u8,
+    prefetch,
     store_f32,
     store_i32,
 )
@@ -130,6 +131,7 @@ def walk_shape(
     bottom, lanes = sp, scratch.lanes
     while True:
         if node >= 0:
+            prefetch(w.children + 32 * node)  # else they are waited for after the boxes
             mask = slab_test(
                 w.boxes, node, near, scale, shift_near, shift_far, first_t, last_t, scratch.entry
             )
@@ -140,6 +142,7 @@ def walk_shape(
                 continue
         else:
             block = ~node
+            prefetch(w.block_triangles + 32 * block)
             if not sheared:
                 axes, o, shear = shear_of(origin, direction, scale)
                 sheared = True
