@@ -34,10 +34,10 @@ class WalkArrays(NamedTuple):
     part_root: np.ndarray  # (parts,) int32: that of the part's shape
     part_opaque: np.ndarray  # (parts,) int8: 1 all of it blocks light, 0 nothing, -1 look at the slot
     slot_opaque: np.ndarray  # (slots,) bool
-    clear_first: np.ndarray  # (parts,) int64: row of a part's triangle 0 in clear_row, -1: it has none
-    clear_row: np.ndarray  # (K,) int32: first row of a triangle's cells in clear_bits, -1: it has none
-    clear_bits: np.ndarray  # (rows,) int64: of a row of cells, those that let all light through
-    clear_side: int  # cells along a triangle's edge, 64 at most; 0: no triangle has any
+    cell_first: np.ndarray  # (parts,) int64: row of a part's triangle 0 in cell_row, -1: it has none
+    cell_row: np.ndarray  # (K,) int32: first row of a triangle's cells in cell_bits, -1: it has none
+    cell_bits: np.ndarray  # (rows, 2) int64: cells of a row that let all light through | none
+    cell_side: int  # cells along a triangle's edge, 64 at most; 0: no triangle has any
     parts: PartTables
     instances: BatchTables
     stack_size: int  # entries that a walk may need
@@ -71,10 +71,10 @@ class WalkPointers(NamedTuple):
     part_slots: int
     part_opaque: int
     slot_opaque: int
-    clear_first: int
-    clear_row: int
-    clear_bits: int
-    clear_side: int  # a number, not an address
+    cell_first: int
+    cell_row: int
+    cell_bits: int
+    cell_side: int  # a number, not an address
     first_record: int
     has_attributes: int
     transforms: int
@@ -95,7 +95,7 @@ class WalkPointers(NamedTuple):
 def _pointers(arrays: WalkArrays) -> WalkPointers:
     found = {}
     for name in WalkPointers._fields[1:]:
-        if name == "clear_side":
+        if name == "cell_side":
             continue
         if hasattr(arrays, name):
             array = getattr(arrays, name)
@@ -104,7 +104,7 @@ def _pointers(arrays: WalkArrays) -> WalkPointers:
         else:
             array = getattr(arrays.instances, name)
         found[name] = address_of(array)
-    return WalkPointers(root=len(arrays.group_root) - 1, clear_side=arrays.clear_side, **found)
+    return WalkPointers(root=len(arrays.group_root) - 1, cell_side=arrays.cell_side, **found)
 
 
 class Acceleration:
@@ -255,10 +255,10 @@ def build_acceleration(geometry: Geometry, progress: Callable[[float], None] | N
         part_root=shape_root[geometry.tables.shape],
         part_opaque=np.ones(len(geometry.parts), np.int8),
         slot_opaque=np.ones(len(geometry.tables.slot_material), np.bool_),
-        clear_first=np.full(len(geometry.parts), -1, np.int64),
-        clear_row=np.zeros(0, np.int32),
-        clear_bits=np.zeros(0, np.int64),
-        clear_side=0,
+        cell_first=np.full(len(geometry.parts), -1, np.int64),
+        cell_row=np.zeros(0, np.int32),
+        cell_bits=np.zeros((0, 2), np.int64),
+        cell_side=0,
         parts=geometry.tables,
         instances=geometry.instances,
         stack_size=int(group_stack.max(initial=0)) + 8,
@@ -302,15 +302,13 @@ def set_opaque(acceleration: Acceleration, opaque: np.ndarray) -> Acceleration:
     return Acceleration(acceleration.geometry, arrays, acceleration.warnings)
 
 
-def set_clear(
+def set_micromap(
     acceleration: Acceleration, first: np.ndarray, row: np.ndarray, bits: np.ndarray, side: int
 ) -> Acceleration:
-    """The same structure (shared, not copied), in which `walk.shadow` passes clear cells of triangles.
+    """The same structure (shared, not copied), whose `walk.shadow` knows clear and opaque cells of triangles.
 
-    As WalkArrays has them: first (parts,) int64, row (K,) int32, bits (rows,) int64; side: cells along an edge. Bit p
+    As WalkArrays has them: first (parts,) int64, row (K,) int32, bits (rows, 2) int64; side: cells along an edge. Bit p
     of row q is the cell at barycentric weights (p..p + 1) / side of vertex 1 and (q..q + 1) / side of vertex 2.
     """
-    arrays = acceleration.arrays._replace(
-        clear_first=first, clear_row=row, clear_bits=bits, clear_side=int(side)
-    )
+    arrays = acceleration.arrays._replace(cell_first=first, cell_row=row, cell_bits=bits, cell_side=int(side))
     return Acceleration(acceleration.geometry, arrays, acceleration.warnings)

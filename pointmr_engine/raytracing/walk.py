@@ -305,11 +305,12 @@ def shadow(
     stop: int | None = None,
     veils: Veils | None = None,
 ) -> None:
-    """Shadow rays: hits.triangle is BLOCKED (-2) where any opaque triangle lies in between, at about hits.t.
+    """Shadow rays: hits.triangle is BLOCKED (-2) where an opaque triangle lies in between, or an opaque cell of one.
 
-    Otherwise the closest hit on a triangle whose material may be transparent (see acceleration.set_opaque) and is not
-    known to be clear there (set_clear), or -1. Of hits, t and triangle alone are filled. veils: lists of the rays, from
-    which `take_veils` takes such surfaces; a ray is walked only where its list does not know the next one.
+    hits.t is about where, then. Otherwise the closest hit on a triangle whose material may be transparent
+    (acceleration.set_opaque) and is not known to be clear there (set_micromap), or -1. Only t and triangle are filled.
+    veils: lists of the rays, from which `take_veils` takes such surfaces; a ray is walked only where its list does not
+    know the next one.
     """
     if veils is None:
         veils = allocate_veils(len(rays.t_min), acceleration.arrays.levels + 1, 1)

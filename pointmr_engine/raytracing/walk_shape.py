@@ -28,6 +28,7 @@ from pointmr_engine.raytracing.walk_veils import note
 
 BLOCKED = -2  # Hits.triangle of a shadow ray that an opaque triangle stops
 MISS = -1
+CLEAR, SOLID = 1, 2  # what is known of a point of a triangle
 
 
 @uncounted
@@ -77,17 +78,21 @@ def is_opaque(w, part, triangle):
 
 
 @uncounted
-def is_clear(w, part, triangle, u, v):
-    """True where this triangle of a part is known to let all light through at weights u, v of vertices 1 and 2."""
-    if w.clear_side == 0 or load_i64(w.clear_first, part) < 0:
-        return False
+def known_opacity(w, part, triangle, u, v):
+    """Whether all light (CLEAR) or none (SOLID) passes this triangle of a part at weights u, v of vertices 1 and 2.
+
+    0 where that is not known without asking its material.
+    """
+    if w.cell_side == 0 or load_i64(w.cell_first, part) < 0:
+        return np.int64(0)
     own = triangle - load_i32(w.part_first_triangle, part)
-    row = load_i32(w.clear_row, load_i64(w.clear_first, part) + own)
+    row = load_i32(w.cell_row, load_i64(w.cell_first, part) + own)
     if row < 0:
-        return False
-    p = min(max(np.int64(u * w.clear_side), np.int64(0)), w.clear_side - 1)
-    q = min(max(np.int64(v * w.clear_side), np.int64(0)), w.clear_side - 1)
-    return (load_i64(w.clear_bits, row + q) >> p) & 1 != 0
+        return np.int64(0)
+    p = min(max(np.int64(u * w.cell_side), np.int64(0)), w.cell_side - 1)
+    q = min(max(np.int64(v * w.cell_side), np.int64(0)), w.cell_side - 1)
+    clear, solid = load_i64(w.cell_bits, 2 * (row + q)), load_i64(w.cell_bits, 2 * (row + q) + 1)
+    return ((clear >> p) & 1) * CLEAR + ((solid >> p) & 1) * SOLID
 
 
 @uncounted
@@ -165,9 +170,10 @@ def walk_shape(
                     if not (exact_t > t_min and exact_t < t_max[0]):
                         continue
                 if any_hit:
-                    if is_opaque(w, part, triangle):
+                    known = SOLID if is_opaque(w, part, triangle) else known_opacity(w, part, triangle, u, v)
+                    if known == SOLID:
                         return np.int64(BLOCKED), (np.float64(t) + shift) / length, u, v
-                    if t >= best_t or is_clear(w, part, triangle, u, v):
+                    if known == CLEAR or t >= best_t:
                         continue
                     t64 = _distance(
                         w, block, lane, u, v, ox, oy, oz, dx, dy, dz, length, pad, t_min, t_max[1]

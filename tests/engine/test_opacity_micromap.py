@@ -1,4 +1,4 @@
-"""Holes that shadow rays pass unasked, and the chance by which faint ones go on."""
+"""Holes that shadow rays pass unasked, what stops them unasked, and the chance by which faint ones go on."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from pointmr_engine import Group, Light, Material, RenderSettings, Scene, principled, render, uniform_world
 from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
-from pointmr_engine.hierarchy.acceleration import build_acceleration, set_clear, set_opaque
+from pointmr_engine.hierarchy.acceleration import build_acceleration, set_micromap, set_opaque
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.multires.cones import opacity_micromap
-from pointmr_engine.multires.cones.opacity_micromap import CLEAR, build_micromap, surely
+from pointmr_engine.multires.cones.opacity_micromap import CLEAR, SOLID, build_micromap, surely
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import points_at
@@ -60,7 +60,7 @@ def test_cells_are_clear_with_all_their_neighbours(side, seed):
 
 
 @pytest.mark.parametrize("more", [None, ("hair_info", "is_strand"), ("uv_map", "uv")])
-def test_only_holes_are_known_and_most_of_them(more):
+def test_only_holes_and_what_is_opaque_is_known_and_most_of_it(more):
     geometry, programs, (first, row, bits, side) = parts(card(more=more))
     rng = np.random.default_rng(2)
     n = 20_000
@@ -71,11 +71,22 @@ def test_only_holes_are_known_and_most_of_them(more):
         geometry, np.zeros(n, np.int32), triangle, u, v, np.broadcast_to(np.eye(4)[:3], (n, 3, 4)),
         programs[0].transparency_needs,
     )  # fmt: skip
-    clear = programs[0].transparency(points).min(1) >= CLEAR
+    share = programs[0].transparency(points)
     at_row = row[first[0] + triangle] + np.minimum((v * side).astype(int), side - 1)
-    known = ((bits[at_row] >> np.minimum((u * side).astype(int), side - 1)) & 1) != 0
-    assert not (known & ~clear).any()
-    assert known.sum() > 0.8 * clear.sum() > 0
+    known = ((bits[at_row] >> np.minimum((u * side).astype(int), side - 1)[:, None]) & 1) != 0
+    for found, truth in zip(known.T, (share.min(1) >= CLEAR, share.max(1) <= SOLID), strict=True):
+        assert not (found & ~truth).any()
+        assert found.sum() >= 0.7 * truth.sum()
+    assert (share.min(1) >= CLEAR).any() and (more is not None or (share.max(1) <= SOLID).any())
+
+
+def test_opaque_triangles_under_a_material_that_may_have_holes_are_known_as_a_whole():
+    mesh = card()
+    middle = mesh.uvs["UVMap"]
+    middle[:] = 0.5 + 0.1 * (middle - 0.5)  # nothing of the leaf's outline is left
+    _, _, (_, row, bits, side) = parts(mesh)
+    assert side and (row >= 0).all()
+    assert (bits == (0, -1)).all()
 
 
 @pytest.mark.parametrize("node", [("object_info", "random"), ("light_path", "is_shadow_ray")])
@@ -89,7 +100,7 @@ def test_opaque_scenes_have_no_map():
 
 @given(st.integers(0, 1000))
 @settings(max_examples=20)
-def test_shadow_rays_pass_holes_alone(seed):
+def test_shadow_rays_pass_holes_and_end_at_leaves(seed):
     geometry, programs, micromap = parts(card())
     plain = set_opaque(build_acceleration(geometry), np.array([p.opaque for p in programs]))
     n = 200
@@ -97,11 +108,13 @@ def test_shadow_rays_pass_holes_alone(seed):
     rays.origin[:] = np.random.default_rng(seed).uniform(-1, 1, (n, 3)) * (1, 1, 0) + (0, 0, 2)
     rays.direction[:] = (0, 0, -1)
     walk.shadow(plain, rays, before)
-    walk.shadow(set_clear(plain, *micromap), rays, after)
+    walk.shadow(set_micromap(plain, *micromap), rays, after)
     radius = np.hypot(*rays.origin[:, :2].T)
     assert (before.triangle >= 0).all()
-    assert (after.triangle[radius < 0.6] >= 0).all()
-    assert (after.triangle[radius > 0.72] == -1).mean() > 0.9  # but for cells of the diagonal
+    assert (after.triangle[radius < 0.6] != -1).all() and (after.triangle[radius > 0.6] != walk.BLOCKED).all()
+    # but for cells of the diagonal
+    assert (after.triangle[radius > 0.72] == -1).mean() > 0.9
+    assert (after.triangle[radius < 0.48] == walk.BLOCKED).mean() > 0.8
 
 
 def grove(count=4):
