@@ -39,24 +39,35 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
     nothing = cut_outs.first, np.zeros(0, np.int32), np.zeros((0, 2), np.int64), 0
     whole = (cut_outs.opacity == 255).all((1, 2))
     groups = _to_know(geometry, programs, cut_outs)
-    count = sum(int((~whole[row]).sum()) for *_, row in groups)
-    side = int(min(math.sqrt(LOOKS / max(count, 1)), FINEST))
+    patterned = np.unique(np.concatenate([row[~whole[row]] for *_, row in groups])) if groups else whole[:0]
+    side = _side(len(patterned), FINEST)
     if not groups or side < COARSEST:
         return nothing
-    words = np.zeros((len(cut_outs.opacity), side, 2), np.int64)
+    # words of triangles with a pattern, and one for all that are opaque as a whole
+    words, solid = np.zeros((len(patterned) + 1, side, 2), np.int64), len(patterned)
+    words[solid, :, 1] = -1
+    words_of = np.full(len(whole), -1)
+    words_of[patterned] = np.arange(len(patterned))
+    few = _side(sum(int(whole[row].sum()) for *_, row in groups), COARSEST)
     for part, program, triangles, row in groups:
-        patterned = ~whole[row]
-        for own in _chunks(np.flatnonzero(patterned), side):
+        for own in _chunks(np.flatnonzero(~whole[row]), side):
             share = _shares(geometry, part, program, triangles[own], row[own], side)
-            words[row[own]] = np.stack([_words(share.min(3) >= CLEAR), _words(share.max(3) <= SOLID)], 2)
-        for own in _chunks(np.flatnonzero(~patterned), COARSEST):
-            share = _shares(geometry, part, program, triangles[own], row[own], COARSEST)
-            words[row[own[(share <= SOLID).all((1, 2, 3))]], :, 1] = -1
-    known = words.any((1, 2))
-    first_row = np.where(known, (np.cumsum(known) - 1) * side, -1)
+            words[words_of[row[own]]] = np.stack(
+                [_words(share.min(3) >= CLEAR), _words(share.max(3) <= SOLID)], 2
+            )
+        for own in _chunks(np.flatnonzero(whole[row]), few) if few else ():
+            share = _shares(geometry, part, program, triangles[own], row[own], few)
+            words_of[row[own[(share <= SOLID).all((1, 2, 3))]]] = solid
+    known = words_of >= 0
+    known[known] = words.any((1, 2))[words_of[known]]
+    first_row = np.where(known, words_of * side, -1)
     row = np.where(cut_outs.mask >= 0, first_row[cut_outs.mask], -1).astype(np.int32)
-    bits = np.ascontiguousarray(words[known].reshape(-1, 2))
-    return cut_outs.first, row, bits, side if known.any() else 0
+    return cut_outs.first, row, words.reshape(-1, 2), side if known.any() else 0
+
+
+def _side(count: int, most: int) -> int:
+    """Cells along the edges of `count` triangles, for no more looks than LOOKS."""
+    return int(min(math.sqrt(LOOKS / max(count, 1)), most))
 
 
 def _chunks(rows: np.ndarray, side: int):
