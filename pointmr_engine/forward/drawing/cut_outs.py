@@ -15,7 +15,7 @@ import numpy as np
 
 from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.baked.opacity_classes import opacity_classes
-from pointmr_engine.forward.baked.opacity_lattice import lattice
+from pointmr_engine.forward.baked.opacity_lattice import batches, lattice
 from pointmr_engine.forward.drawing.cut_out_cover import move_to_opaque, move_to_samples, with_holes
 from pointmr_engine.forward.drawing.draw import draw_triangle, to_target
 from pointmr_engine.forward.drawing.targets import put_cut_out
@@ -25,7 +25,6 @@ from pointmr_engine.raytracing.surface import points_at
 
 SAMPLES = 12_000_000  # at most, over all triangles
 FINEST = 64  # samples along a triangle's edge at most
-_CHUNK = 1 << 18
 
 
 class CutOuts(NamedTuple):
@@ -73,9 +72,7 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
     opacity = np.empty((2, known, side, side), np.uint8)
     at = 0
     for opacity_of, triangles in sources:
-        step = max(1, _CHUNK // (side * side))
-        for start in range(0, len(triangles), step):
-            chosen = triangles[start : start + step]
+        for chosen in batches(triangles, side):
             u, v = lattice(side, at + np.arange(len(chosen)))
             found = opacity_of(np.repeat(chosen, side * side), u.ravel(), v.ravel())
             found = np.round(found * 255.0).astype(np.uint8).reshape(len(chosen), side, side, 2)

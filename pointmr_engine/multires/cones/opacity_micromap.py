@@ -11,14 +11,13 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.baked.opacity_lattice import lattice
+from pointmr_engine.forward.baked.opacity_lattice import batches, lattice
 from pointmr_engine.forward.drawing.cut_outs import part_materials, part_transparency
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
 
 FINEST = 64  # cells along an edge at most: bits of a word
 COARSEST = 8  # below, cells that are like all their neighbours are too few to be worth it
 LOOKS = 1_500_000  # at most, over all triangles that differ
-_CHUNK = 1 << 18
 CLEAR, SOLID = 1.0 - 1e-6, 1e-6  # shares of light, in every channel
 # what a triangle's own points decide, wherever it is placed and whoever looks
 _OWN = {"uv", "attribute", "local", "generated", "barycentric"}
@@ -50,12 +49,12 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
     words_of[patterned] = np.arange(len(patterned))
     few = _side(sum(int(whole[row].sum()) for *_, row in groups), COARSEST)
     for part, program, triangles, row in groups:
-        for own in _chunks(np.flatnonzero(~whole[row]), side):
+        for own in batches(np.flatnonzero(~whole[row]), side):
             share = _shares(geometry, part, program, triangles[own], row[own], side)
             words[words_of[row[own]]] = np.stack(
                 [_words(share.min(3) >= CLEAR), _words(share.max(3) <= SOLID)], 2
             )
-        for own in _chunks(np.flatnonzero(whole[row]), few) if few else ():
+        for own in batches(np.flatnonzero(whole[row]), few) if few else ():
             share = _shares(geometry, part, program, triangles[own], row[own], few)
             words_of[row[own[(share <= SOLID).all((1, 2, 3))]]] = solid
     known = words_of >= 0
@@ -68,13 +67,6 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
 def _side(count: int, most: int) -> int:
     """Cells along the edges of `count` triangles, for no more looks than LOOKS."""
     return int(min(math.sqrt(LOOKS / max(count, 1)), most))
-
-
-def _chunks(rows: np.ndarray, side: int):
-    """Parts of `rows` with few enough samples for one batch."""
-    step = max(1, _CHUNK // side**2)
-    for k in range(0, len(rows), step):
-        yield rows[k : k + step]
 
 
 def _shares(geometry, part: int, program, triangles: np.ndarray, row: np.ndarray, side: int) -> np.ndarray:
