@@ -180,6 +180,27 @@ def is_open(typingctx, depth, offset, stride, rows, count, nearness):
 
 
 @intrinsic
+def is_open_in_eight(typingctx, depth, offset, stride, rows, count, nearness):
+    """As is_open for up to eight rows, all of which are looked at: without branches, which small shapes mispredict."""
+    f, i = types.float32, types.int64
+
+    def codegen(context, builder, signature, args):
+        depths = builder.inttoptr(args[0], _f32.as_pointer())
+        at, least = args[1], None
+        for row in range(WIDTH):
+            values = _load(builder, depths, at)
+            least = values if least is None else _smaller(builder, values, least)
+            more = builder.icmp_signed("<", ir.Constant(_i64, row + 1), args[3])
+            at = builder.select(more, builder.add(at, args[2]), at)
+        mask = builder.and_(
+            _first(builder, args[4]), builder.fcmp_ordered("<=", least, _splat(builder, args[5]))
+        )
+        return builder.zext(builder.icmp_unsigned("!=", _bits(builder, mask), ir.Constant(_i64, 0)), _i64)
+
+    return i(types.uint64, i, i, i, i, f), codegen
+
+
+@intrinsic
 def count_open(typingctx, depth, offset, stride, rows, count, nearness):
     """How many of rows x count values are at most `nearness`; arguments as for is_open."""
     f, i = types.float32, types.int64

@@ -43,7 +43,7 @@ from pointmr_engine.forward.drawing.surfel_lanes import (
 from pointmr_engine.forward.drawing.targets import put_ellipse, put_triangle
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
-from pointmr_engine.numerics.simd_cover import count_open, is_open
+from pointmr_engine.numerics.simd_cover import count_open, is_open, is_open_in_eight
 
 FEW = 2  # chunks: a set of no more is drawn without a look at their balls
 DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
@@ -112,12 +112,18 @@ def box_is_behind(target, width, height, x0, y0, x1, y1, w):
     zero, one = np.float32(0), np.float32(1)
     i0, i1 = np.int64(max(x0, zero)), np.int64(min(x1, width - one))
     j0, j1 = np.int64(max(y0, zero)), np.int64(min(y1, height - one))
-    stride = np.int64(target.depth.shape[1])
-    if j0 > j1:
-        return True
-    start, rows = target.address[0], j1 + 1 - j0
-    for i in range(i0, i1 + 1, WIDTH):
-        if is_open(start, j0 * stride + i, stride, rows, min(np.int64(WIDTH), i1 + 1 - i), w) != 0:
+    return j0 > j1 or cells_are_behind(target, i0, j0, i1 + 1 - i0, j1 + 1 - j0, w)
+
+
+@device
+def cells_are_behind(target, i, j, columns, rows, w):
+    """Whether what is drawn already is nearer than w in all of these subpixels, of which there are rows."""
+    start, stride = target.address[0], np.int64(target.depth.shape[1])
+    at = j * stride + i
+    if columns <= WIDTH and rows <= WIDTH:
+        return is_open_in_eight(start, at, stride, rows, columns, w) == 0
+    for k in range(0, columns, WIDTH):
+        if is_open(start, at + k, stride, rows, min(np.int64(WIDTH), columns - k), w) != 0:
             return False
     return True
 

@@ -6,13 +6,17 @@ import numpy as np
 
 from pointmr_engine.forward.drawing.cut_out_cover import cut_out_of
 from pointmr_engine.forward.drawing.cut_outs import draw_cut_out
-from pointmr_engine.forward.drawing.draw import box_is_behind, draw_triangle, triangle_to_camera
+from pointmr_engine.forward.drawing.draw import cells_are_behind, draw_triangle, triangle_to_camera
 from pointmr_engine.forward.drawing.surfel_lanes import (
     CORNER_FRONT,
     CORNER_SMALL,
     CORNER_W,
     CORNER_X,
     CORNER_Y,
+    HIGH,
+    LEFT,
+    LOW,
+    RIGHT,
     corners_eight,
 )
 from pointmr_engine.forward.drawing.targets import put_triangle
@@ -32,11 +36,10 @@ def draw_triangles(
     octree, corners (M, 9) float32 of all items. work (3, 3) float64. small: subpixels; triangles no larger are one
     fragment, wherever they are visible.
     """
-    fw, fh = np.float32(width), np.float32(height)
     for start in range(first, last, WIDTH):
         masks = corners_eight(address[3], start, address[1], address[2])
         inside = (np.int64(1) << min(np.int64(WIDTH), last - start)) - 1
-        mask = masks & inside
+        mask = _open_ones(target, lanes, masks & inside)
         while mask != 0:
             k = trailing_zeros(mask)
             mask &= mask - 1
@@ -51,12 +54,6 @@ def draw_triangles(
                 np.float64(lanes[CORNER_Y + 2, k]),
             )
             hole = cut_out_of(cut_outs, np.int64(items[start + k, 0]), np.int64(items[start + k, 1]))
-            # for what is no larger than the test's steps, drawing is the test
-            if (hole >= 0 or lanes[CORNER_SMALL, k] > WIDTH) and box_is_behind(
-                target, fw, fh, min(x[0], x[1], x[2]), min(y[0], y[1], y[2]), max(x[0], x[1], x[2]),
-                max(y[0], y[1], y[2]), lanes[CORNER_FRONT, k],
-            ):  # fmt: skip
-                continue
             lump = np.int64(1) if lanes[CORNER_SMALL, k] <= small else np.int64(0)
             if hole >= 0:
                 triangle_to_camera(matrix, row, corners, start + k, work)
@@ -86,3 +83,17 @@ def draw_triangles(
                 entries.row[used] = row
                 used += 1
     return used
+
+
+@device
+def _open_ones(target, lanes, mask):
+    """Those in `mask` of the triangles that corners_eight leaves behind which what is drawn does not hide whole."""
+    found = np.int64(0)
+    while mask != 0:
+        k = trailing_zeros(mask)
+        mask &= mask - 1
+        i, j = np.int64(lanes[LEFT, k]), np.int64(lanes[LOW, k])
+        columns, rows = np.int64(lanes[RIGHT, k]) + 1 - i, np.int64(lanes[HIGH, k]) + 1 - j
+        if not cells_are_behind(target, i, j, columns, rows, lanes[CORNER_FRONT, k]):
+            found |= np.int64(1) << k
+    return found

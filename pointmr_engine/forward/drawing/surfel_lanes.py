@@ -217,8 +217,10 @@ def shape_eight(typingctx, rows, first, constants, out):
     return types.void(types.uint64, i, types.uint64, types.uint64), codegen
 
 
-# rows of eight that `corners_eight` leaves behind: three subpixel x, three y, three of nearness, the largest nearness
-CORNER_X, CORNER_Y, CORNER_W, CORNER_FRONT, CORNER_SMALL = 0, 3, 6, 9, 10
+# rows of eight that `corners_eight` leaves behind: three subpixel x, three y, three of nearness, the largest nearness,
+# the larger side of the bounds, and the subpixels of the tile that look into them: first and last column, first and
+# last row
+CORNER_X, CORNER_Y, CORNER_W, CORNER_FRONT, CORNER_SMALL, LEFT, RIGHT, LOW, HIGH = 0, 3, 6, 9, 10, 11, 12, 13, 14
 
 
 @intrinsic
@@ -227,8 +229,7 @@ def corners_eight(typingctx, corners, first, constants, out):
     clipped.
 
     corners: address of float32, nine a triangle. Triangles outside the tile, and between the centres of its
-    subpixels, are in neither mask; those that reach behind the near plane are in the second. CORNER_SMALL: the larger
-    side of the bounds.
+    subpixels, are in neither mask; those that reach behind the near plane are in the second.
     """
     i = types.int64
 
@@ -260,9 +261,13 @@ def corners_eight(typingctx, corners, first, constants, out):
         y0, y1 = ys[0].at_most(ys[1]).at_most(ys[2]), ys[0].at_least(ys[1]).at_least(ys[2])
         # columns and rows that the bounds reach, where their subpixels may look
         areas = constant(ALL_AREAS) > 0.5
-        columns = ((x1 - INNER)._unary("floor") - (x0 + (INNER - 1.0))._unary("ceil")) > -0.5
-        lines = ((y1 - INNER)._unary("floor") - (y0 + (INNER - 1.0))._unary("ceil")) > -0.5
-        seen = builder.or_(areas, builder.and_(columns, lines))
+        left, right, low, high = (
+            bound._unary("floor").where(areas, (bound + inner)._unary(rounded))
+            for bound, inner, rounded in (
+                (x0, INNER - 1.0, "ceil"), (x1, -INNER, "floor"), (y0, INNER - 1.0, "ceil"), (y1, -INNER, "floor"),
+            )
+        )  # fmt: skip
+        seen = builder.and_((right - left) > -0.5, (high - low) > -0.5)
         seen = builder.and_(seen, builder.and_(x1 > 0.0, y1 > 0.0))
         seen = builder.and_(seen, builder.and_(x0 < constant(WIDTH_OF_TILE), y0 < constant(HEIGHT_OF_TILE)))
         for v in range(3):
@@ -271,6 +276,10 @@ def corners_eight(typingctx, corners, first, constants, out):
             t.store(ws[v], target, CORNER_W + v)
         t.store(ws[0].at_least(ws[1]).at_least(ws[2]), target, CORNER_FRONT)
         t.store((x1 - x0).at_least(y1 - y0), target, CORNER_SMALL)
+        t.store(left.at_least(0.0), target, LEFT)
+        t.store(right.at_most(constant(WIDTH_OF_TILE) - 1.0), target, RIGHT)
+        t.store(low.at_least(0.0), target, LOW)
+        t.store(high.at_most(constant(HEIGHT_OF_TILE) - 1.0), target, HIGH)
         drawn = t.bits(builder.and_(seen, front))
         crossing = t.bits(builder.and_(behind, builder.not_(front)))
         return builder.or_(drawn, builder.shl(crossing, ir.Constant(_i64, 8)))
