@@ -65,14 +65,34 @@ def prefetch(typingctx, address):
         return None
 
     def codegen(context, builder, signature, args):
-        byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
-        type_ = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
-        function = cgutils.get_or_insert_function(builder.module, type_, "llvm.prefetch.p0")
-        to_read, into_all_caches, data = (ir.Constant(word, k) for k in (0, 3, 1))
-        builder.call(function, [builder.inttoptr(args[0], byte), to_read, into_all_caches, data])
-        return context.get_dummy_value()
+        return _prefetch(context, builder, args[0])
 
     return types.void(types.int64), codegen
+
+
+def _prefetch(context, builder, address):
+    byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+    type_ = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+    function = cgutils.get_or_insert_function(builder.module, type_, "llvm.prefetch.p0")
+    to_read, into_all_caches, data = (ir.Constant(word, k) for k in (0, 3, 1))
+    builder.call(function, [builder.inttoptr(address, byte), to_read, into_all_caches, data])
+    return context.get_dummy_value()
+
+
+@intrinsic
+def prefetch_row(typingctx, array, index):
+    """As prefetch, for array[index]; index: int64, of the first axis."""
+    if not (isinstance(array, types.Array) and isinstance(index, types.Integer)):
+        return None
+
+    def codegen(context, builder, signature, args):
+        struct = context.make_array(signature.args[0])(context, builder, value=args[0])
+        data = builder.ptrtoint(struct.data, ir.IntType(64))
+        step = builder.extract_value(struct.strides, 0)
+        address = builder.add(data, builder.mul(args[1], step))
+        return _prefetch(context, builder, address)
+
+    return types.void(array, types.int64), codegen
 
 
 def _storer(value_type):

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.baked.triangle_normals import interpolated_normal
+from pointmr_engine.forward.baked.triangle_normals import interpolated_normal, prefetch_normals
 from pointmr_engine.forward.drawing.draw import Entries, triangle_to_camera
 from pointmr_engine.forward.drawing.subpixels import EMPTY
 from pointmr_engine.hierarchy.surfels import NX, NY, NZ, RED, X, Y, Z
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.pointers import load_i32
+from pointmr_engine.numerics.pointers import load_i32, prefetch, prefetch_row
 
 
 class Fragments(NamedTuple):
@@ -37,6 +37,9 @@ class Fragments(NamedTuple):
     row: np.ndarray  # (F,) int32 of the transforms
 
 
+# fragments: so long before one is filled its surfel or triangle, that one's vertex numbers and their normals are asked
+# for
+ITEMS, INDICES, VERTICES = 12, 6, 3
 SOLID = 0.9  # squared length of a mean normal, below which a piece is a clump
 
 
@@ -170,6 +173,7 @@ def fill_fragments(
     last = np.int64(EMPTY)
     nx = ny = nz = 0.0
     for k in range(count):
+        _ask_ahead(k, count, octree, sets, all_corners, parts, entries, fragments)
         e = np.int64(fragments.entry[k])
         row = np.int64(entries.row[e])
         fragments.row[k] = row
@@ -212,6 +216,37 @@ def fill_fragments(
             fragments.position[k, r] = (1.0 - u - v) * corners[0, r] + u * corners[1, r] + v * corners[2, r]
         fragments.geometric[k, 0], fragments.geometric[k, 1], fragments.geometric[k, 2] = nx, ny, nz
         fill_look(parts, looks, normals, row, part, triangle, u, v, fragments, k)
+
+
+@device
+def _ask_ahead(k, count, octree, sets, all_corners, parts, entries: Entries, fragments: Fragments):
+    """Begin to fetch what filling later fragments will read: neighbours in the image lie far apart in memory.
+
+    In three stages, as each one's addresses are in what the one before it has fetched.
+    """
+    if k + ITEMS < count:
+        s = entries.surfel[fragments.entry[k + ITEMS]]
+        if s >= 0:
+            s >>= 1
+            prefetch_row(sets.row, s)
+            prefetch_row(sets.source, s)
+            prefetch_row(sets.place, s)
+        else:
+            i = (-1 - s) >> 1
+            prefetch_row(octree.item, i)
+            prefetch_row(all_corners, i)
+    if k + INDICES < count:
+        s = entries.surfel[fragments.entry[k + INDICES]]
+        if s < 0:
+            i = (-1 - s) >> 1
+            part, triangle = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
+            prefetch(parts.material_index[part] + 4 * triangle)
+            prefetch(parts.triangles[part] + 12 * triangle)
+    if k + VERTICES < count:
+        s = entries.surfel[fragments.entry[k + VERTICES]]
+        if s < 0:
+            i = (-1 - s) >> 1
+            prefetch_normals(parts, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]))
 
 
 @device
