@@ -8,7 +8,14 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.hierarchy.triangle_prefetch import (
+    INDICES,
+    VERTICES,
+    prefetch_indices,
+    prefetch_normals,
+    prefetch_positions,
+)
+from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 from pointmr_engine.numerics.transforms import cofactors
 from pointmr_engine.raytracing.rays import Hits, Rays
@@ -69,6 +76,7 @@ def frames_of(tables, samples, outgoing, out):
     up = np.zeros(3, np.float32)
     up[2] = 1.0
     for n in range(len(samples.part)):
+        _ask_ahead(tables, samples, n)
         triangle, p = np.int64(samples.triangle[n]), samples.part[n]
         if triangle < 0:
             out.material[n] = -1
@@ -140,6 +148,19 @@ def frames_of(tables, samples, outgoing, out):
             slot = np.int64(pointer_i32(tables.material_index[p])[t])
             slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
         out.material[n] = tables.slot_material[tables.first_slot[p] + slot]
+
+
+@device
+def _ask_ahead(tables, samples, n):
+    count = len(samples.part)
+    if n + INDICES < count and samples.triangle[n + INDICES] >= 0:
+        p = np.int64(samples.part[n + INDICES])
+        prefetch_indices(tables, p, np.int64(samples.triangle[n + INDICES]) - tables.first_triangle[p])
+    if n + VERTICES < count and samples.triangle[n + VERTICES] >= 0:
+        p = np.int64(samples.part[n + VERTICES])
+        t = np.int64(samples.triangle[n + VERTICES]) - tables.first_triangle[p]
+        prefetch_positions(tables, p, t)
+        prefetch_normals(tables, p, t)
 
 
 @uncounted

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.numerics.jit import device
-from pointmr_engine.numerics.pointers import load_f32, load_i32, prefetch
+from pointmr_engine.numerics.pointers import load_f32, load_i32
 
 
 @device
@@ -37,12 +37,3 @@ def interpolated_normal(tables, part, triangle, u, v):
         bz = np.float64(load_f32(at, 3 * k + 2)) - load_f32(at, 3 * i + 2)
         x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     return x, y, z
-
-
-@device
-def prefetch_normals(tables, part, triangle):
-    """Begin to fetch what interpolated_normal reads of a triangle's vertices; the numbers of these it waits for."""
-    at = tables.normals[part] if tables.normals[part] != 0 else tables.positions[part]
-    for k in range(3 * triangle, 3 * triangle + 3):
-        vertex = k if tables.normals_per_corner[part] else np.int64(load_i32(tables.triangles[part], k))
-        prefetch(at + 12 * vertex)

@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.forward.baked.triangle_normals import interpolated_normal, prefetch_normals
+from pointmr_engine.forward.baked.triangle_normals import interpolated_normal
 from pointmr_engine.forward.drawing.draw import Entries, triangle_to_camera
 from pointmr_engine.forward.drawing.subpixels import EMPTY
 from pointmr_engine.hierarchy.surfels import NX, NY, NZ, RED, X, Y, Z
+from pointmr_engine.hierarchy.triangle_prefetch import INDICES, VERTICES, prefetch_indices, prefetch_normals
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.pointers import load_i32, prefetch, prefetch_row
+from pointmr_engine.numerics.pointers import load_i32, prefetch_row
 
 
 class Fragments(NamedTuple):
@@ -37,9 +38,7 @@ class Fragments(NamedTuple):
     row: np.ndarray  # (F,) int32 of the transforms
 
 
-# fragments: so long before one is filled its surfel or triangle, that one's vertex numbers and their normals are asked
-# for
-ITEMS, INDICES, VERTICES = 12, 6, 3
+ITEMS = 12  # fragments: so long before one is filled, its surfel or triangle is asked for
 SOLID = 0.9  # squared length of a mean normal, below which a piece is a clump
 
 
@@ -239,9 +238,7 @@ def _ask_ahead(k, count, octree, sets, all_corners, parts, entries: Entries, fra
         s = entries.surfel[fragments.entry[k + INDICES]]
         if s < 0:
             i = (-1 - s) >> 1
-            part, triangle = np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1])
-            prefetch(parts.material_index[part] + 4 * triangle)
-            prefetch(parts.triangles[part] + 12 * triangle)
+            prefetch_indices(parts, np.int64(octree.item[i, 0]), np.int64(octree.item[i, 1]))
     if k + VERTICES < count:
         s = entries.surfel[fragments.entry[k + VERTICES]]
         if s < 0:
