@@ -8,7 +8,9 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.tangents import corner_tangents
-from pointmr_engine.numerics.pointers import address_of, pointer_f32, pointer_i32
+from pointmr_engine.hierarchy.triangle_prefetch import INDICES, VERTICES, prefetch_indices
+from pointmr_engine.numerics.jit import device
+from pointmr_engine.numerics.pointers import address_of, load_i32, pointer_f32, pointer_i32, prefetch
 from pointmr_engine.scene.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -68,6 +70,18 @@ def layer(geometry: Geometry, kind: str, name: str) -> Layer:
     return found
 
 
+@device
+def _ask_for(tables, layer, p, t):
+    """Begin to fetch a triangle's values; waits for the numbers of its vertices."""
+    at, size = np.int64(layer.address[p]), 4 * layer.channels[p]
+    if layer.domain[p] == VERTEX:
+        for k in range(3 * t, 3 * t + 3):
+            prefetch(at + size * np.int64(load_i32(tables.triangles[p], k)))
+    elif layer.domain[p] != NONE:
+        first = 3 * t if layer.domain[p] == CORNER else t
+        prefetch(at + size * first)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def interpolate(tables, layer, part, triangle, u, v, out):
     """Values of a layer at surface points (u, v float64) into out (n, channels) float32.
@@ -75,8 +89,14 @@ def interpolate(tables, layer, part, triangle, u, v, out):
     Missing layers give zeros. Where out has four channels and the layer fewer: one is repeated as a grey, the third
     is 0 if missing and the fourth 1, as Cycles converts attributes to colours.
     """
-    wanted = out.shape[1]
-    for i in range(len(part)):
+    wanted, count = out.shape[1], len(part)
+    for i in range(count):
+        if i + INDICES < count:
+            p = np.int64(part[i + INDICES])
+            prefetch_indices(tables, p, np.int64(triangle[i + INDICES]) - tables.first_triangle[p])
+        if i + VERTICES < count:
+            p = np.int64(part[i + VERTICES])
+            _ask_for(tables, layer, p, np.int64(triangle[i + VERTICES]) - tables.first_triangle[p])
         p = part[i]
         domain, channels = layer.domain[p], layer.channels[p]
         if domain == NONE:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.pointers import prefetch_row
 
 REPEAT, EXTEND, CLIP, MIRROR = range(4)
 # bits of `flags`
 CLOSEST, SRGB, UNASSOCIATE, CUBIC = 1, 2, 4, 8
+AHEAD = 4  # points: so long before one's texels are read they are asked for
 
 
 @uncounted
@@ -40,10 +42,10 @@ def add_texel(texels, offset, width, height, x, y, extension, weight, out):
 
 @uncounted
 def srgb_to_linear(x):
-    """The sRGB decoding curve."""
+    """The sRGB decoding curve, to single precision, whose power takes a third of the time."""
     if x < 0.04045:
         return max(x, 0.0) / 12.92
-    return ((x + 0.055) / 1.055) ** 2.4
+    return float(np.float32((x + 0.055) / 1.055) ** np.float32(2.4))
 
 
 # what bytes of sRGB decode to
@@ -145,6 +147,21 @@ def lookup_level(texels, levels, level, u, v, extension, flags, scale, out):
             out[c] = srgb_to_linear(out[c])
 
 
+@device
+def _ask_for(texels, levels, width, u, v):
+    """Begin to fetch the texels about (u, v) of the levels that a filter of `width` texels takes, repeated."""
+    level = np.int64(0)
+    while width >= 2.0 and level + 1 < levels.shape[0]:
+        width *= 0.5
+        level += 1
+    for k in range(level, min(level + (2 if width > 1.0 else 1), levels.shape[0])):
+        across, rows = levels[k, 1], levels[k, 2]
+        x = min(np.int64((u - np.floor(u)) * across), across - 1)
+        y = np.int64((v - np.floor(v)) * rows - 0.5)
+        for j in range(y, y + 2):
+            prefetch_row(texels, levels[k, 0] + 4 * (min(max(j, 0), rows - 1) * across + max(x, 0)))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
     """RGBA at uv (n, 2) float32 into out (n, 4) float32.
@@ -159,6 +176,10 @@ def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
     fine = np.empty(4)
     coarse = np.empty(4)
     for i in range(n):
+        if i + AHEAD < n:
+            j = i + AHEAD
+            width = footprint[j if footprint.shape[0] > 1 else 0] * texels_across
+            _ask_for(texels, levels, width, float(uv[j, 0]), float(uv[j, 1]))
         u, v = float(uv[i, 0]), float(uv[i, 1])
         if not (abs(u) < 1e9 and abs(v) < 1e9):
             for c in range(4):
