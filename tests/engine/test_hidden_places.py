@@ -1,6 +1,7 @@
 """Whether what is drawn already hides a rectangle of subpixels: against its definition, for all sizes and places."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,17 +34,18 @@ def drawn(seed: int, open_ones: int):
     return target
 
 
-places = st.integers(0, SIDE - 1)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 60), places, places, st.integers(1, 20), st.integers(1, 20))
-def test_a_rectangle_is_behind_where_all_of_it_is_nearer(seed, open_ones, i, j, columns, rows):
-    target = drawn(seed, open_ones)
-    columns, rows = min(columns, SIDE - i), min(rows, SIDE - j)
-    part = target.depth[j : j + rows, i : i + columns]
-    for w in (0.5, 1.0, 1.5, 2.0, 2.5):
-        expected = bool((part > np.float32(w)).all())
-        assert bool(cells_behind(target, i, j, columns, rows, np.float32(w))) == expected
+@pytest.mark.parametrize(("i", "j"), [(0, 0), (5, 9), (SIDE - 10, SIDE - 10)])
+def test_a_rectangle_is_behind_unless_a_subpixel_in_it_is_open(i, j):
+    target, w = drawn(0, 0), np.float32(1.5)
+    for columns in range(1, 11):
+        for rows in range(1, 11):
+            assert cells_behind(target, i, j, columns, rows, w)
+            for y in range(max(j - 1, 0), min(j + rows + 1, SIDE)):
+                for x in range(max(i - 1, 0), min(i + columns + 1, SIDE)):
+                    target.depth[y, x] = 1.0
+                    inside = i <= x < i + columns and j <= y < j + rows
+                    assert bool(cells_behind(target, i, j, columns, rows, w)) != inside, (columns, rows, x, y)
+                    target.depth[y, x] = 2.0
 
 
 @given(
