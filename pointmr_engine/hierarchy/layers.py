@@ -93,7 +93,8 @@ def interpolate(tables, layer, part, triangle, u, v, out):
     for i in range(count):
         if i + INDICES < count:
             p = np.int64(part[i + INDICES])
-            prefetch_indices(tables, p, np.int64(triangle[i + INDICES]) - tables.first_triangle[p])
+            if layer.domain[p] == VERTEX:
+                prefetch_indices(tables, p, np.int64(triangle[i + INDICES]) - tables.first_triangle[p])
         if i + VERTICES < count:
             p = np.int64(part[i + VERTICES])
             _ask_for(tables, layer, p, np.int64(triangle[i + VERTICES]) - tables.first_triangle[p])

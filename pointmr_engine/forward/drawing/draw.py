@@ -117,7 +117,7 @@ def box_is_behind(target, width, height, x0, y0, x1, y1, w):
 
 @device
 def cells_are_behind(target, i, j, columns, rows, w):
-    """Whether what is drawn already is nearer than w in all of these subpixels, of which there are rows."""
+    """Whether what is drawn already is nearer than w in all subpixels from (i, j) on; rows: at least 1."""
     start, stride = target.address[0], np.int64(target.depth.shape[1])
     at = j * stride + i
     if columns <= WIDTH and rows <= WIDTH:

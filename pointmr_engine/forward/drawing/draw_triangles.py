@@ -43,16 +43,6 @@ def draw_triangles(
         while mask != 0:
             k = trailing_zeros(mask)
             mask &= mask - 1
-            x = (
-                np.float64(lanes[CORNER_X, k]),
-                np.float64(lanes[CORNER_X + 1, k]),
-                np.float64(lanes[CORNER_X + 2, k]),
-            )
-            y = (
-                np.float64(lanes[CORNER_Y, k]),
-                np.float64(lanes[CORNER_Y + 1, k]),
-                np.float64(lanes[CORNER_Y + 2, k]),
-            )
             hole = cut_out_of(cut_outs, np.int64(items[start + k, 0]), np.int64(items[start + k, 1]))
             lump = np.int64(1) if lanes[CORNER_SMALL, k] <= small else np.int64(0)
             if hole >= 0:
@@ -64,6 +54,16 @@ def draw_triangles(
                     entries.row[used] = row
                     used += 1
                 continue
+            x = (
+                np.float64(lanes[CORNER_X, k]),
+                np.float64(lanes[CORNER_X + 1, k]),
+                np.float64(lanes[CORNER_X + 2, k]),
+            )
+            y = (
+                np.float64(lanes[CORNER_Y, k]),
+                np.float64(lanes[CORNER_Y + 1, k]),
+                np.float64(lanes[CORNER_Y + 2, k]),
+            )
             w = (
                 np.float64(lanes[CORNER_W, k]),
                 np.float64(lanes[CORNER_W + 1, k]),

@@ -220,17 +220,8 @@ def shape_eight(typingctx, rows, first, constants, out):
 # rows of eight that `corners_eight` leaves behind: three subpixel x, three y, three of nearness, the largest nearness,
 # the larger side of the bounds, and the subpixels of the tile that look into them: first and last column, first and
 # last row
-CORNER_X, CORNER_Y, CORNER_W, CORNER_FRONT, CORNER_SMALL, LEFT, RIGHT, LOW, HIGH = (
-    0,
-    3,
-    6,
-    9,
-    10,
-    11,
-    12,
-    13,
-    14,
-)
+CORNER_X, CORNER_Y, CORNER_W = 0, 3, 6
+CORNER_FRONT, CORNER_SMALL, LEFT, RIGHT, LOW, HIGH = range(9, 15)
 
 
 @intrinsic
