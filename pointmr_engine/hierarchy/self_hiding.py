@@ -12,7 +12,8 @@ import numpy as np
 from numba import njit
 
 from pointmr_engine.hierarchy.set_chunks import BALL_REACH
-from pointmr_engine.hierarchy.surfels import FLAT, NX, NY, NZ, ROUND, XX, XY, XZ, YY, YZ, ZZ, X, Y, Z
+from pointmr_engine.hierarchy.surfels import FLAT, NX, NY, NZ, ROUND, XX, X
+from pointmr_engine.numerics.pointers import pointer_f32, pointer_f64
 from pointmr_engine.numerics.rng import pixel_seed
 
 PLACES = 16  # of a sample's pieces, at whose middles it is looked at, at most
@@ -20,6 +21,10 @@ PLACES = 16  # of a sample's pieces, at whose middles it is looked at, at most
 # right (tests/engine/test_self_hiding.py)
 GAPS = 1.2
 MOST = BALL_REACH**2  # square of the standard deviations that a piece reaches at most
+
+# pieces lie in blocks of columns of LANES numbers: compilers can work at many at once when they know how far columns
+# are from each other
+LANES, COLUMN, SHAPE = 64, 13, 8
 
 # three orthogonal directions that lie along no axis, where meshes have their planes
 AXES = np.array([[2.0, 2.0, 1.0], [-2.0, 1.0, 2.0], [1.0, -2.0, 2.0]]) / 3.0
@@ -35,7 +40,9 @@ def seen_share(row: np.ndarray, area: np.ndarray, owner: np.ndarray, count: int)
     """
     first, order = _by_owner(owner, np.int64(count))
     share = np.ones(count)
-    _measure(row, area, first, order, AXES, share)
+    most = -(-int(np.diff(first).max(initial=0)) // LANES) * LANES
+    pieces, shapes = np.empty(most * COLUMN), np.empty(most * SHAPE, np.float32)
+    _measure(row, area, first, order, AXES, pieces, shapes, share)
     return share
 
 
@@ -76,75 +83,96 @@ def _is_surface(row, area, members):
 
 
 @_jit
-def _project(row, area, c, axes, turn, out):
-    """out (8,): place across direction `turn` of axes, depth along it, inverse of the ellipse, projected area, opacity.
-
-    An ellipse d^T [[a, b], [b, c]] d <= 1 as large as what the piece covers, or, of a clump, half transparent.
-    """
-    p, q, w = axes[(turn + 1) % 3], axes[(turn + 2) % 3], axes[turn]
-    x, y, z = np.float64(row[c, X]), np.float64(row[c, Y]), np.float64(row[c, Z])
-    out[0], out[1], out[2] = (
-        p[0] * x + p[1] * y + p[2] * z,
-        q[0] * x + q[1] * y + q[2] * z,
-        w[0] * x + w[1] * y + w[2] * z,
-    )
-    xx, xy, xz = np.float64(row[c, XX]), np.float64(row[c, XY]), np.float64(row[c, XZ])
-    yy, yz, zz = np.float64(row[c, YY]), np.float64(row[c, YZ]), np.float64(row[c, ZZ])
-    px, py, pz = (
-        xx * p[0] + xy * p[1] + xz * p[2],
-        xy * p[0] + yy * p[1] + yz * p[2],
-        xz * p[0] + yz * p[1] + zz * p[2],
-    )
-    qx, qy, qz = (
-        xx * q[0] + xy * q[1] + xz * q[2],
-        xy * q[0] + yy * q[1] + yz * q[2],
-        xz * q[0] + yz * q[1] + zz * q[2],
-    )
-    a, b, d = (
-        p[0] * px + p[1] * py + p[2] * pz,
-        q[0] * px + q[1] * py + q[2] * pz,
-        q[0] * qx + q[1] * qy + q[2] * qz,
-    )
-    length = math.sqrt(row[c, NX] ** 2 + row[c, NY] ** 2 + row[c, NZ] ** 2)
-    facing = abs(row[c, NX] * w[0] + row[c, NY] * w[1] + row[c, NZ] * w[2])
-    flat = min(max((length - ROUND) / (FLAT - ROUND), 0.0), 1.0)
-    seen = area[c] * (flat * facing + (1.0 - flat) * 0.5)
-    det = max(a * d - b * b, 1e-60)
-    root = math.sqrt(det)
-    reach = min(GAPS * seen / (math.pi * root), MOST)
-    out[3], out[4], out[5] = d / (det * reach), -b / (det * reach), a / (det * reach)
-    out[6] = seen
-    out[7] = min(seen / (math.pi * root * MOST), 1.0) if reach == MOST else 1.0
+def _take(row, area, members, piece):
+    """Place from the first one's, covariance, normal and area of the members, to `piece`: see `_project`."""
+    r = members[0]
+    for i in range(len(members)):
+        c = members[i]
+        at = i // LANES * (COLUMN * LANES) + i % LANES
+        for k in range(3):
+            piece[at + LANES * k] = np.float64(row[c, X + k]) - np.float64(row[r, X + k])
+            piece[at + LANES * (9 + k)] = row[c, NX + k]
+        for k in range(6):
+            piece[at + LANES * (3 + k)] = row[c, XX + k]
+        piece[at + LANES * 12] = area[c]
 
 
 @_jit
-def _measure(row, area, first, order, axes, share):
-    most = 0
-    for k in range(len(share)):
-        most = max(most, first[k + 1] - first[k])
-    shape = np.empty((most, 8))
+def _project(piece, count, axes, turn, shape):
+    """shape, blocks of (SHAPE, LANES) float32: place across direction `turn` of axes, depth along it, inverse of the
+    ellipse, projected area, and the share of light that goes through.
+
+    An ellipse a u^2 + b u v + c v^2 <= 1 as large as what the piece covers, or, of a clump, half transparent. piece,
+    blocks of (COLUMN, LANES) float64: place, covariance, normal, area.
+    """
+    px, py, pz = axes[(turn + 1) % 3, 0], axes[(turn + 1) % 3, 1], axes[(turn + 1) % 3, 2]
+    qx, qy, qz = axes[(turn + 2) % 3, 0], axes[(turn + 2) % 3, 1], axes[(turn + 2) % 3, 2]
+    wx, wy, wz = axes[turn, 0], axes[turn, 1], axes[turn, 2]
+    for block in range((count + LANES - 1) // LANES):
+        o, s = block * (COLUMN * LANES), block * (SHAPE * LANES)
+        for i in range(min(count - block * LANES, LANES)):
+            x, y, z = piece[o + i], piece[o + LANES + i], piece[o + 2 * LANES + i]
+            xx, xy, xz = piece[o + 3 * LANES + i], piece[o + 4 * LANES + i], piece[o + 5 * LANES + i]
+            yy, yz, zz = piece[o + 6 * LANES + i], piece[o + 7 * LANES + i], piece[o + 8 * LANES + i]
+            nx, ny, nz = piece[o + 9 * LANES + i], piece[o + 10 * LANES + i], piece[o + 11 * LANES + i]
+            area = piece[o + 12 * LANES + i]
+            sx, sy, sz = xx * px + xy * py + xz * pz, xy * px + yy * py + yz * pz, xz * px + yz * py + zz * pz
+            tx, ty, tz = xx * qx + xy * qy + xz * qz, xy * qx + yy * qy + yz * qz, xz * qx + yz * qy + zz * qz
+            a, b, d = px * sx + py * sy + pz * sz, qx * sx + qy * sy + qz * sz, qx * tx + qy * ty + qz * tz
+            flat = (math.sqrt(nx * nx + ny * ny + nz * nz) - ROUND) / (FLAT - ROUND)
+            flat = flat if flat > 0.0 else 0.0
+            flat = flat if flat < 1.0 else 1.0
+            seen = area * (flat * abs(nx * wx + ny * wy + nz * wz) + (1.0 - flat) * 0.5)
+            det = a * d - b * b
+            det = det if det > 1e-60 else 1e-60
+            covered = seen / (math.pi * math.sqrt(det))
+            reach = GAPS * covered
+            share = covered / MOST if covered < MOST else 1.0
+            through = 1.0 - share if reach >= MOST else 0.0
+            scale = 1.0 / (det * (reach if reach < MOST else MOST))
+            shape[s + i] = px * x + py * y + pz * z
+            shape[s + LANES + i] = qx * x + qy * y + qz * z
+            shape[s + 2 * LANES + i] = wx * x + wy * y + wz * z
+            shape[s + 3 * LANES + i] = d * scale
+            shape[s + 4 * LANES + i] = -2.0 * b * scale
+            shape[s + 5 * LANES + i] = a * scale
+            shape[s + 6 * LANES + i] = seen
+            shape[s + 7 * LANES + i] = through
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc"})
+def _through(shape, count, x, y, depth):
+    """What share of light reaches a place past all that is before it."""
+    through = np.float32(1)
+    for block in range((count + LANES - 1) // LANES):
+        s = block * (SHAPE * LANES)
+        for j in range(min(count - block * LANES, LANES)):
+            u, v = x - shape[s + j], y - shape[s + LANES + j]
+            a, b, c = shape[s + 3 * LANES + j], shape[s + 4 * LANES + j], shape[s + 5 * LANES + j]
+            before = (shape[s + 2 * LANES + j] > depth) & (a * u * u + b * u * v + c * v * v < np.float32(1))
+            through *= shape[s + 7 * LANES + j] if before else np.float32(1)
+    return through
+
+
+@_jit
+def _measure(row, area, first, order, axes, pieces, shapes, share):
+    piece, shape = pointer_f64(np.int64(pieces.ctypes.data)), pointer_f32(np.int64(shapes.ctypes.data))
     for k in range(len(share)):
         members = order[first[k] : first[k + 1]]
-        n = len(members)
-        if n < 2 or _is_surface(row, area, members):
+        count = len(members)
+        if count < 2 or _is_surface(row, area, members):
             continue
-        places = min(n, PLACES)
+        _take(row, area, members, piece)
         total = seen = 0.0
         for turn in range(3):
-            for i in range(n):
-                _project(row, area, members[i], axes, turn, shape[i])
-            for place in range(places):
+            _project(piece, count, axes, turn, shape)
+            for place in range(min(count, PLACES)):
                 i = np.int64(place)
-                if n > PLACES:  # by chance: at even steps a mesh's order would show
-                    i = np.int64(pixel_seed(np.int64(k), i, np.int64(turn))) % n
-                x, y, depth = shape[i, 0], shape[i, 1], shape[i, 2]
-                through = 1.0
-                for j in range(n):
-                    if shape[j, 2] > depth:
-                        u, v = x - shape[j, 0], y - shape[j, 1]
-                        if shape[j, 3] * u * u + 2.0 * shape[j, 4] * u * v + shape[j, 5] * v * v < 1.0:
-                            through *= 1.0 - shape[j, 7]
-                total += shape[i, 6]
-                seen += shape[i, 6] * through
+                if count > PLACES:  # by chance: at even steps a mesh's order would show
+                    i = np.int64(pixel_seed(np.int64(k), i, np.int64(turn))) % count
+                at = i // LANES * (SHAPE * LANES) + i % LANES
+                through = _through(shape, count, shape[at], shape[at + LANES], shape[at + 2 * LANES])
+                total += shape[at + 6 * LANES]
+                seen += shape[at + 6 * LANES] * through
         if total > 0.0:
             share[k] = seen / total
