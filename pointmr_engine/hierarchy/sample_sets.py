@@ -360,7 +360,7 @@ class SampleSets:
             g, ranges, min(spacing * PIECE, 4.0 * fine), min(spacing * CANDIDATE, fine)
         )
         key = g, len(node), int(ranges[0, 0]) if len(ranges) else 0, int(ranges[:, 1].max(initial=0))
-        with self._locks.setdefault(("exposed", g), threading.Lock()):
+        with self._locks.setdefault(("exposed", *key), threading.Lock()):
             if key not in self._exposures:
                 self._exposures[key] = exposure(candidates.row)
         row = candidates.row.copy()

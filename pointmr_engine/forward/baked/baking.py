@@ -49,9 +49,10 @@ class Baker:
         u, v = np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)
         material = np.empty(n, np.int32)
         _normals_and_materials(geometry.tables, part, triangle, u, v, look.normal, material)
-        for m in np.unique(material):
+        present = np.flatnonzero(np.bincount(material, minlength=1))
+        for m in present.tolist():
             program = self.programs[m]
-            rows = slice(None) if len(self.programs) == 1 else np.flatnonzero(material == m)
+            rows = slice(None) if len(present) == 1 else np.flatnonzero(material == m)
             if not program.needs:
                 if m not in self._constant:
                     self._constant[m] = reduce_leaves(program.evaluate(SurfacePoints(count=1)), 1)
@@ -67,7 +68,11 @@ class Baker:
                 if points.ray_kind is not None:
                     points.ray_kind[:] = ray_kind
                 albedo, emission, alpha = reduce_leaves(program.evaluate(points), len(chosen))
-            look.albedo[rows], look.emission[rows], look.alpha[rows] = albedo, emission, alpha
+            look.albedo[rows] = albedo
+            if emission.any():
+                look.emission[rows] = emission
+            if (alpha != 1.0).any():
+                look.alpha[rows] = alpha
         return look
 
 
