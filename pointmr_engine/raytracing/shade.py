@@ -76,6 +76,19 @@ def rows_by_material(material, wanted, n, materials, order):
     return start
 
 
+def _without_lobes(state: RayState, n: int) -> RayState:
+    """The state of rays 0..n, those that stand for a part of a lobe as narrow as lines.
+
+    For surfaces that light passes: what materials make of a mean of their images is not the mean of what they let
+    through, and where lobes are wide, that is off by half.
+    """
+    wide = (state.kind[:n] & (RAY_CAMERA | RAY_SINGULAR)) == 0
+    if not wide.any():
+        return state
+    width, spread = (np.where(wide, np.float32(0), a[:n]) for a in (state.width, state.spread))
+    return state._replace(width=width, spread=spread)
+
+
 class Means(NamedTuple):
     """Textures of a batch, averaged over footprints."""
 
@@ -134,10 +147,14 @@ class Shader:
         """
         lobe_kernels.reset(out, View(*(a[:n] for a in view)))
         start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
+        filtered, unfiltered = state, None
         for m, program in enumerate(self.programs):
             rows = order[start[m] : start[m + 1]]
             if not len(rows):
                 continue
+            state = filtered
+            if not program.opaque:
+                state = unfiltered = unfiltered or _without_lobes(filtered, n)
             points = self._gather(rays, hits, frames, rows, program.needs, state, m)
             means = self._means(program, rays, hits, frames, view, rows, state, m, detail)
             values = program.values(points)
