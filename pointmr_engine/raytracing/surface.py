@@ -123,6 +123,7 @@ _RAY_FIELDS = {
 _OTHER_FIELDS = {"ray_length", "camera_from_world", "object_index", "object_color", "object_random"}
 # what only frames know, of "NAME" and "KIND:NAME"
 _FRAME_NEEDS = {"position", "normal", "smooth_normal", "geometric_normal", "backfacing", "uv_footprint"}
+_FACING_NEEDS = _FRAME_NEEDS | {"incoming", "moved"}  # and what is seen from along the normal
 _LAYERS = ("uv", "uv_footprint", "tangent", "attribute", "instance_attribute")
 
 
@@ -150,10 +151,14 @@ def points_at(
         np.ascontiguousarray(v, np.float64),
         np.ascontiguousarray(world_from_part, np.float64),
     )
-    own = allocate_frames(n)
-    frames_of(geometry.tables, samples, np.zeros((0, 3)), own)
+    own, direction = None, None
     distance = np.zeros(n, np.float32)
-    if viewer is None:
+    if viewer is not None or {need.partition(":")[0] for need in needs} & _FACING_NEEDS:
+        own = allocate_frames(n)
+        frames_of(geometry.tables, samples, np.zeros((0, 3)), own)
+    if own is None:
+        pass
+    elif viewer is None:
         direction = -own.smooth_normal.astype(np.float64)
     else:
         direction = own.position - viewer

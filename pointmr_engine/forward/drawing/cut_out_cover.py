@@ -97,31 +97,60 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
     return written
 
 
+@device
+def _most_opaque(opacity, mask):
+    """The largest of a triangle's opacities, OPAQUE at most."""
+    most, side = np.int64(0), opacity.shape[1]
+    for q in range(side):
+        for p in range(side - q):
+            most = max(most, np.int64(opacity[mask, q, p]))
+            if most >= OPAQUE:
+                return np.int64(OPAQUE)
+    return most
+
+
+@device
+def _nearest_as_opaque(opacity, mask, u, v, most):
+    """(p, q): the cell nearest to the place (u, v), in cells, that is at least `most` opaque; there must be one.
+
+    Looked for along growing squares about the place.
+    """
+    side = opacity.shape[1]
+    i, j = min(np.int64(u), side - 1), min(np.int64(v), side - 1)
+    best, bi, bj = math.inf, i, j
+    for ring in range(side):
+        if (ring - 1.0) * (ring - 1.0) > best:
+            break
+        for q in range(max(j - ring, 0), min(j + ring, side - 1) + 1):
+            step = 1 if q == j - ring or q == j + ring else 2 * ring
+            for p in range(i - ring, i + ring + 1, max(step, 1)):
+                if p < 0 or p + q >= side or np.int64(opacity[mask, q, p]) < most:
+                    continue
+                dx, dy = p + 1.0 / 3.0 - u, q + 1.0 / 3.0 - v
+                d = dx * dx + dy * dy
+                if d < best:
+                    best, bi, bj = d, p, q
+    return bi, bj
+
+
 @uncounted
 def move_to_opaque(cut_outs, fragments, first, count):
     """Move the places of fragments first..first + count, where their cells are clear, to the sample of the nearest cell
     that is opaque; where none is, of the nearest of the least transparent ones. fragments: Fragments.
     """
-    side = cut_outs.opacity.shape[1]
+    opacity = cut_outs.opacity
+    side = opacity.shape[1]
     for k in range(first, first + count):
         mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
         if mask < 0:
             continue
-        u, v = np.float64(fragments.place[k, 0]) * side, np.float64(fragments.place[k, 1]) * side
-        i, j = min(np.int64(u), side - 1), min(np.int64(v), side - 1)
-        if cut_outs.opacity[mask, j, i] >= OPAQUE:
+        u, v = np.float64(fragments.place[k, 0]), np.float64(fragments.place[k, 1])
+        p, q = cell_of(u, v, side)
+        if opacity[mask, q, p] >= OPAQUE:
             continue
-        most, best, bi, bj = np.int64(-1), math.inf, i, j
-        for q in range(side):
-            for p in range(side - q):
-                opacity = min(np.int64(cut_outs.opacity[mask, q, p]), OPAQUE)
-                if opacity >= most:
-                    dx, dy = p + 1.0 / 3.0 - u, q + 1.0 / 3.0 - v
-                    d = dx * dx + dy * dy
-                    if opacity > most or d < best:
-                        most, best, bi, bj = opacity, d, p, q
-        if best < math.inf:
-            fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, bi, bj, side)
+        most = _most_opaque(opacity, mask)
+        p, q = _nearest_as_opaque(opacity, mask, u * side, v * side, most)
+        fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
 
 
 @uncounted
