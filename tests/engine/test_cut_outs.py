@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, render, uniform_world
-from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
+from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, principled, render, uniform_world
+from pointmr_engine.forward.drawing.cut_out_cover import OPAQUE, _most_opaque, _nearest_as_opaque
+from pointmr_engine.forward.drawing.cut_outs import FINEST, build_cut_outs
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.mesh import Attribute
@@ -76,6 +79,37 @@ def test_leaves_of_other_shapes_do_not():
     assert small > 1.3 * large  # the card shows the middle of the image, where the lobes meet
 
 
+def test_what_is_opaque_all_over_shares_one_row():
+    """Stems that show other places of their leaves' picture each: all of its middle, where there is no hole."""
+    sizes = np.linspace(0.01, 0.05, 60)
+    sizes[7] = 1.0  # a leaf
+    for found in cut_outs(leaves(60, leaf(), sizes=sizes)):
+        assert len(found.opacity) == 3
+        rows = np.delete(found.mask.reshape(60, 2), 7, 0)
+        assert (rows == rows[0, 0]).all() and (found.opacity[rows[0, 0]] == 255).all()
+        own = found.opacity[found.mask[14:16]]
+        assert (own == 255).any((1, 2)).all() and (own == 0).any((1, 2)).all()
+        assert own.shape[1] == FINEST  # few rows, so each has many samples
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 40), st.floats(0.0, 1.0))
+def test_the_nearest_opaque_cell_is_found(seed, side, share):
+    rng = np.random.default_rng(seed)
+    opacity = np.where(rng.random((1, side, side)) < share, rng.integers(0, 256, (1, side, side)), 0)
+    opacity = opacity.astype(np.uint8)
+    u, v = np.sort(rng.random(2))
+    u, v = u * side, (1.0 - v) * side
+    q, p = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    inside = p + q < side
+    most = _most_opaque.py_func(opacity, 0)
+    assert most == min(opacity[0][inside].max(), OPAQUE)
+    away = (p + 1 / 3 - u) ** 2 + (q + 1 / 3 - v) ** 2
+    found = _nearest_as_opaque.py_func(opacity, 0, u, v, most)
+    assert inside[found[1], found[0]] and opacity[0, found[1], found[0]] >= most
+    assert away[found[1], found[0]] == pytest.approx(away[inside & (opacity[0] >= most)].min())
+
+
 def test_what_passes_in_colour_is_a_leaf_s_own():
     """Tints decide how opaque a channel is: leaves share with those alike, and the mean stays what it is."""
     material = leaf(coloured=True)
@@ -104,6 +138,37 @@ def test_first_surfaces_colour_what_is_seen_through_them(secondary):
     once, twice = np.array((0.9, 0.3, 0.1)), np.array((0.81, 0.09, 0.01))
     np.testing.assert_allclose(found[13:19, 13:19].mean((0, 1)), twice, atol=0.02)
     np.testing.assert_allclose(found[13:19, 9:11].mean((0, 1)), once, atol=0.02)
+
+
+@pytest.mark.parametrize("secondary", ["cones", "rays"])
+def test_wide_lobes_see_through_holes_and_not_through_their_mean(secondary):
+    """A third of a sheet over a floor is open, where its picture is over a half: its mean, a third, never is.
+
+    Its stripes are far finer than what is kept of where two such large triangles are opaque.
+    """
+    picture = np.ones((512, 512, 4), np.float32)
+    picture[..., :3] = (np.arange(512) // 4 % 3 == 0)[None, :, None]
+    nodes = {
+        "place": Node("texture_coordinate"),
+        "image": Node("image_texture", {"vector": Link("place", "uv")}, {"image": Image("holes", picture, "Linear")}),
+        "open": Node("math", {"value": Link("image", "color"), "value_b": 0.5}, {"operation": "GREATER_THAN"}),
+        "clear": Node("transparent", {"color": Link("open", "value")}),
+    }  # fmt: skip
+    sheet = quad(200.0, 1.0, Material("sheet", Graph(nodes, surface=Link("clear", "bsdf"))))
+    sheet.uvs["UVMap"] = sheet.positions[sheet.triangles][..., :2] / np.float32(30.0)
+    floor = quad(4.0, 0.0, principled("floor", base_color=(0.5, 0.5, 0.5), roughness=0.7))
+    scene = Scene(Group("root", [sheet, floor]), from_above(0.9), [], uniform_world((1.0, 1.0, 1.0)))
+
+    def light(**chosen) -> float:
+        images = [
+            render(scene, RenderSettings(24, 24, seed=k, **chosen)).passes["combined"] for k in range(4)
+        ]
+        return float(np.mean(images, axis=0)[..., :3].mean())
+
+    exact = light(method="distributed", samples=64)
+    assert exact > 0.1
+    found = light(method="raytrace", raytrace=RaytraceSettings(secondary=secondary))
+    assert found == pytest.approx(exact, rel=0.05)
 
 
 def test_transparent_film_takes_one_opacity_of_all_channels():

@@ -18,6 +18,8 @@ from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
 FINEST = 64  # cells along an edge at most: bits of a word
 COARSEST = 8  # below, cells that are like all their neighbours are too few to be worth it
 LOOKS = 1_500_000  # at most, over all triangles that differ
+ELSEWHERE = 1 << 30  # added to a row's number, for other places in its cells
+REFUTED = 0.01  # of the cells that seem sure: more of them are by chance
 CLEAR, SOLID = 1.0 - 1e-6, 1e-6  # shares of light, in every channel
 # what a triangle's own points decide, wherever it is placed and whoever looks
 _OWN = {"uv", "attribute", "local", "generated", "barycentric"}
@@ -51,8 +53,13 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
     for part, program, triangles, row in groups:
         for own in batches(np.flatnonzero(~whole[row]), side):
             share = _shares(geometry, part, program, triangles[own], row[own], side)
+            again = _shares(geometry, part, program, triangles[own], row[own] + ELSEWHERE, side)
             words[words_of[row[own]]] = np.stack(
-                [_words(share.min(3) >= CLEAR), _words(share.max(3) <= SOLID)], 2
+                [
+                    _words(_known(share.min(3) >= CLEAR, again.min(3) >= CLEAR)),
+                    _words(_known(share.max(3) <= SOLID, again.max(3) <= SOLID)),
+                ],
+                2,
             )
         for own in batches(np.flatnonzero(whole[row]), few) if few else ():
             share = _shares(geometry, part, program, triangles[own], row[own], few)
@@ -76,9 +83,20 @@ def _shares(geometry, part: int, program, triangles: np.ndarray, row: np.ndarray
     return share.reshape(len(row), side, side, 3)
 
 
-def _words(alike: np.ndarray) -> np.ndarray:
-    """(n, R) int64: a bit for each of the cells (n, R, R) that are surely so."""
-    return (surely(alike) * (np.int64(1) << np.arange(alike.shape[1], dtype=np.int64))).sum(2)
+def _words(known: np.ndarray) -> np.ndarray:
+    """(n, R) int64: a bit for each of the cells (n, R, R) that are known."""
+    return (known * (np.int64(1) << np.arange(known.shape[1], dtype=np.int64))).sum(2)
+
+
+def _known(alike: np.ndarray, again: np.ndarray) -> np.ndarray:
+    """(n, R, R) bool: cells that are surely so, and are so when looked at elsewhere.
+
+    None of a triangle where that refutes too many: its pattern, many tiles of a fence, say, is finer than the cells,
+    and neighbours that agree do so by chance.
+    """
+    sure = surely(alike)
+    refuted = (sure & ~again).sum((1, 2))
+    return sure & again & (refuted <= REFUTED * sure.sum((1, 2)))[:, None, None]
 
 
 def surely(alike: np.ndarray) -> np.ndarray:
