@@ -24,7 +24,7 @@ from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.surface import points_at
 
 SAMPLES = 32_000_000  # at most, over all triangles that differ
-FINEST = 256  # samples along a triangle's edge at most
+FINEST = 128  # samples along a triangle's edge at most
 FIRST = 24  # so many tell which triangles are the same all over: these share one row
 
 
