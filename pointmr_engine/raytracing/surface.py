@@ -151,21 +151,20 @@ def points_at(
         np.ascontiguousarray(v, np.float64),
         np.ascontiguousarray(world_from_part, np.float64),
     )
-    own, direction = None, None
-    distance = np.zeros(n, np.float32)
+    own, direction, distance = None, None, np.zeros(n, np.float32)
     if viewer is not None or {need.partition(":")[0] for need in needs} & _FACING_NEEDS:
         own = allocate_frames(n)
         frames_of(geometry.tables, samples, np.zeros((0, 3)), own)
-    if own is None:
-        pass
-    elif viewer is None:
-        direction = -own.smooth_normal.astype(np.float64)
-    else:
-        direction = own.position - viewer
-        length = np.linalg.norm(direction, axis=1, keepdims=True)
-        distance = length[:, 0].astype(np.float32)
-        direction = np.where(length > 0, direction / np.where(length > 0, length, 1), -own.geometric_normal)
-        own.backfacing[:] = (own.geometric_normal * direction).sum(1) > 0
+        if viewer is None:
+            direction = -own.smooth_normal.astype(np.float64)
+        else:
+            direction = own.position - viewer
+            length = np.linalg.norm(direction, axis=1, keepdims=True)
+            distance = length[:, 0].astype(np.float32)
+            direction = np.where(
+                length > 0, direction / np.where(length > 0, length, 1), -own.geometric_normal
+            )
+            own.backfacing[:] = (own.geometric_normal * direction).sum(1) > 0
     points = SurfacePoints(count=n)
     _fill_surface(geometry, points, samples, own, needs, direction, np.zeros(n, np.float32))
     state = allocate_ray_state(n)
