@@ -41,6 +41,7 @@ def seen_share(row: np.ndarray, area: np.ndarray, owner: np.ndarray, count: int)
     first, order = _by_owner(owner, np.int64(count))
     share = np.ones(count)
     most = -(-int(np.diff(first).max(initial=0)) // LANES) * LANES
+    # made here, for a kernel does not keep alive what it has only the address of
     pieces, shapes = np.empty(most * COLUMN), np.empty(most * SHAPE, np.float32)
     _measure(row, area, first, order, AXES, pieces, shapes, share)
     return share

@@ -147,16 +147,16 @@ class Shader:
         """
         lobe_kernels.reset(out, View(*(a[:n] for a in view)))
         start = rows_by_material(frames.material, wanted, n, len(self.programs), order)
-        filtered, unfiltered = state, None
+        unfiltered = None
         for m, program in enumerate(self.programs):
             rows = order[start[m] : start[m + 1]]
             if not len(rows):
                 continue
-            state = filtered
+            seen_by = state
             if not program.opaque:
-                state = unfiltered = unfiltered or _without_lobes(filtered, n)
-            points = self._gather(rays, hits, frames, rows, program.needs, state, m)
-            means = self._means(program, rays, hits, frames, view, rows, state, m, detail)
+                seen_by = unfiltered = unfiltered or _without_lobes(state, n)
+            points = self._gather(rays, hits, frames, rows, program.needs, seen_by, m)
+            means = self._means(program, rays, hits, frames, view, rows, seen_by, m, detail)
             values = program.values(points)
             leaves = program.fill_leaves(values, means.values)
             if slopes is not None and means.slopes is not None:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pointmr_engine.forward.baked.opacity_lattice import lattice
+from pointmr_engine.forward.baked.opacity_lattice import in_triangle, lattice
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.raytracing.surface import points_at
 
@@ -97,8 +97,7 @@ def _ranges(triangles: np.ndarray, opacity: Opacity) -> tuple[np.ndarray, np.nda
     u, v = lattice(SIDE, np.arange(k))
     cells = opacity(np.repeat(triangles, SIDE * SIDE), u.ravel(), v.ravel()).reshape(k, SIDE, SIDE, 2)
     # cells beyond the longest edge lie in the other half, far away: they take their neighbours' values
-    q, p = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
-    cells[:, p + q >= SIDE] = np.nan
+    cells[:, ~in_triangle(SIDE)] = np.nan
     padded = np.pad(cells, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     near = [padded[:, y : y + SIDE, x : x + SIDE] for y in range(3) for x in range(3)]
     return np.fmin.reduce(near), np.fmax.reduce(near)

@@ -30,6 +30,12 @@ def sample_place(row, p, q, side):
     return (1.0 - u, 1.0 - v) if u + v > 1.0 else (u, v)
 
 
+def in_triangle(side: int) -> np.ndarray:
+    """(side, side) bool, [q, p]: the cells that do not lie beyond the longest edge, which alone are asked for."""
+    q, p = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    return p + q < side
+
+
 def lattice(side: int, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(u, v), both (n, side, side) float32: the places of all samples of triangles number `rows` (n,); [:, q, p]."""
     u = np.empty((len(rows), side, side), np.float32)

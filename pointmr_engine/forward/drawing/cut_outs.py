@@ -15,7 +15,7 @@ import numpy as np
 
 from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.baked.opacity_classes import Opacity, opacity_classes
-from pointmr_engine.forward.baked.opacity_lattice import batches, lattice
+from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
 from pointmr_engine.forward.drawing.cut_out_cover import move_to_opaque, move_to_samples, with_holes
 from pointmr_engine.forward.drawing.draw import draw_triangle, to_target
 from pointmr_engine.forward.drawing.targets import put_cut_out
@@ -89,12 +89,11 @@ def _sampled(opacity_of: Opacity, triangles: np.ndarray, row: int, side: int) ->
     """
     n = len(triangles)
     u, v = lattice(side, row + np.arange(n))
-    q, p = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
-    own = p + q < side
+    own = in_triangle(side)
     found = opacity_of(np.repeat(triangles, own.sum()), u[:, own].ravel(), v[:, own].ravel())
     result = np.empty((2, n, side, side), np.uint8)
     result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(2, n, -1)
-    result[:, :, ~own] = result[:, :, side - 1 - q[~own], side - 1 - p[~own]]
+    result[:, :, ~own] = result[:, :, ::-1, ::-1][:, :, ~own]
     return result
 
 
@@ -111,7 +110,7 @@ def _without_even(
         value = 256 * found[0, :, 0].astype(np.int64) + found[1, :, 0]
         even[at : at + len(chosen)] = np.where(same, value, -1)
         at += len(chosen)
-    key = np.where(even >= 0, even, 1 << 16) + np.where(even >= 0, 0, np.arange(len(which)))
+    key = np.where(even >= 0, even, (1 << 16) + np.arange(len(which)))
     _, first, shared = np.unique(key, return_index=True, return_inverse=True)
     return which[first], shared.ravel()
 

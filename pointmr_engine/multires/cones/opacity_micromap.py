@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.baked.opacity_lattice import batches, lattice
+from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
 from pointmr_engine.forward.drawing.cut_outs import part_materials, part_transparency
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
 
@@ -102,9 +102,9 @@ def _known(alike: np.ndarray, again: np.ndarray) -> np.ndarray:
 def surely(alike: np.ndarray) -> np.ndarray:
     """(M, R, R) bool: cells whose samples (M, R, R) are so and all of whose neighbours' in the triangle are."""
     side = alike.shape[1]
-    q, p = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
-    padded = np.pad(alike | (p + q >= side), ((0, 0), (1, 1), (1, 1)), constant_values=True)
-    result = alike & (p + q < side)
+    own = in_triangle(side)
+    padded = np.pad(alike | ~own, ((0, 0), (1, 1), (1, 1)), constant_values=True)
+    result = alike & own
     for y in range(3):
         for x in range(3):
             result &= padded[:, y : y + side, x : x + side]
