@@ -8,7 +8,7 @@ from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.reconstruction.pixel_filter import Slopes, allocate_slopes
 from pointmr_engine.forward.shading.fragment_surfaces import NO_EYES
 from pointmr_engine.forward.tiles import Workspace
-from pointmr_engine.multires.fragments.looks import look_where_seen
+from pointmr_engine.multires.fragments.looks import end_behind_clumps, look_where_seen
 from pointmr_engine.multires.fragments.merge import choose_seen, merge_fragments, renumber, thin_margin
 from pointmr_engine.multires.fragments.representatives import (
     bring_forward,
@@ -47,6 +47,13 @@ class TracedTiles(Workspace):
         look_where_seen(
             image.view, np.int64(self.left), np.int64(self.low), image.camera.world_from_camera, self.fragments,
             np.int64(first), rows, self.seen, direction, rays,
+        )  # fmt: skip
+
+    def end_looks(self, hierarchy, first: int, rows: np.ndarray, hits, rays) -> None:
+        """End the rays of `look` behind the clumps that the fragments show; hits: of these, without `first`."""
+        end_behind_clumps(
+            self.image.view, self.scratch.transforms.matrix, self.scratch.entries, hierarchy.sets.row, self.fragments,
+            np.int64(first), rows, hits, rays,
         )  # fmt: skip
 
     def lend(self, count: int) -> None:

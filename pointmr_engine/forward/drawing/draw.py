@@ -45,6 +45,7 @@ from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
 from pointmr_engine.numerics.simd_cover import count_open, is_open, is_open_in_eight
 
+GAPPY = 0.7  # of an ellipse's subpixels: what is drawn at fewer is told from what has no gaps
 FEW = 2  # chunks: a set of no more is drawn without a look at their balls
 DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 
@@ -52,7 +53,7 @@ DRAWN = 8  # of the walk's counters: surfels whose ellipse was drawn
 class Entries(NamedTuple):
     """What was drawn into a tile and was the nearest somewhere, in the order of drawing."""
 
-    # (E,) int64: 2 * row of the surfels, + 1 where it is not drawn without gaps; for a triangle -1 - (2 * item of the
+    # (E,) int64: 2 * row of the surfels, + 1 where it is drawn with gaps (GAPPY); for a triangle -1 - (2 * item of the
     # octree, + 1 where it is small)
     surfel: np.ndarray
     row: np.ndarray  # (E,) int32 row of the transforms
@@ -226,7 +227,7 @@ def _draw_chunk(target, width, height, lanes, address, node, row, chunk, first, 
             phase & np.int64(511),
         ):  # fmt: skip
             entries.surfel[used] = 2 * (start + k) + (
-                np.int64(1) if lanes[OPACITY, k] < np.float32(1) else np.int64(0)
+                np.int64(1) if lanes[OPACITY, k] < np.float32(GAPPY) else np.int64(0)
             )
             entries.row[used] = row
             used += 1

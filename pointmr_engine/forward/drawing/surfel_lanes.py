@@ -40,7 +40,7 @@ SOLID = 1.25  # times a piece's projected area over its ellipse's: from 1 on it 
 SPARSE = 0.4  # of its ellipse: a piece that fills less is drawn as a clump
 # of 27 det V / (tr V)^3, 1 for a ball: up to where a piece is a surface; from where a clump
 SURFACE, CLUMP = 0.2, 0.6
-DENSE = 0.9  # the same of a clump: by area 0.83, for its outline is larger than its ellipse; measured a little more
+DENSE = 4.0 / REACH**2  # the same of a clump, which covers its area and no more
 
 # the constants of a set. The last two belong to the target, 0 for subpixels: by how much subpixels see beyond their
 # sides, and whether triangles between their centres matter

@@ -261,6 +261,9 @@ class AlphaTiles(TracedTiles):
         self.shading.counters.update(layers=self.layers)
         return missing
 
+    def end_looks(self, hierarchy, first: int, rows: np.ndarray, hits, rays) -> None:
+        """Looks do not end: clumps of one crown hide too much together, and what lies behind them makes up for it."""
+
     def _slopes(self, count: int) -> Slopes:
         return NO_SLOPES  # no subpixel shows one fragment alone
 

@@ -7,11 +7,14 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.reconstruction.fragments import ray_through
+from pointmr_engine.hierarchy.set_chunks import BALL_REACH
+from pointmr_engine.hierarchy.surfels import XX, XY, XZ, YY, YZ, ZZ
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_2d
 
 AROUND = 0x5AD0  # dimension set of the numbers that `look_around` takes
 OFF = 1.0  # footprints: farthest from the fragment's plane that a point of its surface may be found
+JUST = 1e-6  # of its length: as far beyond its point a ray goes that is to meet it
 ALIKE = 0.9  # least cosine between the normals of a fragment and of a point of its surface
 
 
@@ -51,6 +54,55 @@ def look_where_seen(view, left, low, world_from_camera, fragments, first, rows, 
         _aim(view, world_from_camera, x, y, rays, i)
         for r in range(3):
             direction[k, r] = rays.direction[i, r]
+
+
+@device
+def _deviation(row, s, x, y, z):
+    """Standard deviation along (x, y, z) of the places of surfel s, of row (S, 16), in its group's space."""
+    xx, xy, xz = np.float64(row[s, XX]), np.float64(row[s, XY]), np.float64(row[s, XZ])
+    yy, yz, zz = np.float64(row[s, YY]), np.float64(row[s, YZ]), np.float64(row[s, ZZ])
+    along = xx * x * x + yy * y * y + zz * z * z
+    return math.sqrt(max(along + 2.0 * (xy * x * y + xz * x * z + yz * y * z), 0.0))
+
+
+@uncounted
+def end_behind_clumps(view, matrix, entries, surfels, fragments, first, rows, hits, rays):
+    """End rays 0..len(rows) behind the clumps that the fragments first + rows show, where these are drawn with gaps.
+
+    With as many as there are: what goes on through more of them would show too much of what lies behind. Where a clump
+    is drawn without gaps, rays tell where they are.
+
+    matrix (K, 12) float64 camera_from_group of the tile's placements; surfels (S, 16): of the sample sets; hits: of the
+    fragments, without `first`.
+    """
+    for i in range(len(rows)):
+        f = first + rows[i]
+        s, r = entries.surfel[fragments.entry[f]], np.int64(fragments.row[f])
+        if s < 0 or s & 1 == 0:
+            continue
+        x, y, z = 0.0, 0.0, 1.0
+        if view.perspective:
+            x, y, z = fragments.position[f, 0], fragments.position[f, 1], fragments.position[f, 2]
+            inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+            x, y, z = x * inverse, y * inverse, z * inverse
+        u = matrix[r, 0] * x + matrix[r, 4] * y + matrix[r, 8] * z
+        v = matrix[r, 1] * x + matrix[r, 5] * y + matrix[r, 9] * z
+        w = matrix[r, 2] * x + matrix[r, 6] * y + matrix[r, 10] * z
+        rays.t_max[i] = hits.t[rows[i]] + BALL_REACH * _deviation(surfels, s >> 1, u, v, w)
+
+
+@uncounted
+def aim_at_points(points, rows, direction, rays):
+    """Turn rays 0..len(rows) to points (N, 3), world space, `rows`, where they end, and direction (N, 3) with them."""
+    for i in range(len(rows)):
+        k, square = rows[i], 0.0
+        for a in range(3):
+            square += (points[k, a] - rays.origin[i, a]) ** 2
+        length = math.sqrt(square)
+        rays.t_max[i] = length * (1.0 + JUST)
+        if length > 0.0:
+            for a in range(3):
+                rays.direction[i, a] = direction[k, a] = (points[k, a] - rays.origin[i, a]) / length
 
 
 @uncounted

@@ -17,6 +17,7 @@ from pointmr_engine.forward.shading.fragment_surfaces import place_fragments, pl
 from pointmr_engine.forward.shading.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.fragments.curvature import mean_normals, spread_of_curvature
+from pointmr_engine.multires.fragments.looks import aim_at_points
 from pointmr_engine.multires.fragments.texture_slopes import slopes_in_image
 from pointmr_engine.multires.paths.path_pool import PathPool
 from pointmr_engine.numerics.jit import device, uncounted
@@ -269,7 +270,7 @@ class FragmentPaths(Workspace):
             tables, hits, now.state.width, f.count[first : first + count], np.float64(space.cell**2), triangles,
             np.int64(len(triangles)), self.curved, self.spread,
         )  # fmt: skip
-        self._look_at_clumps(space, now, first, clump)
+        self._look_at_clumps(space, hierarchy, now, first, clump)
         start_rays(now.rays, hits, self.frames, n_)
         if image.view.perspective:  # the footprint goes on growing behind mirrors
             now.state.spread[:count] = now.state.width[:count] / np.maximum(hits.t[:count], 1e-30)
@@ -339,11 +340,11 @@ class FragmentPaths(Workspace):
         """Radiance of the tile's fragments 0..count, which have all been traced, to space.light."""
         self._settle_paths()
 
-    def _look_at_clumps(self, space, now, first: int, rows: np.ndarray) -> None:
+    def _look_at_clumps(self, space, hierarchy, now, first: int, rows: np.ndarray) -> None:
         """Represent clumps by what the camera sees of them: the first surface behind a subpixel that shows each.
 
         A piece's own representative may be hidden in it, or seen from its edge, and lie in another light than what is
-        seen.
+        seen. One that is drawn with gaps is not looked through besides.
         """
         if not len(rows):
             return
@@ -352,8 +353,16 @@ class FragmentPaths(Workspace):
         space.look(first, rows, camera_rays.direction, rays)
         rays.visibility[:] = CAMERA
         rays.skip_triangle[:] = -1
+        space.end_looks(hierarchy, first, rows, hits, rays)
         self._look(now, rows, rays, seen)
-        self.counters["clump_rays"] += len(rows)
+        passed = np.flatnonzero((seen.triangle < 0) & np.isfinite(rays.t_max))
+        if len(passed):
+            again, met = Rays(*(a[passed] for a in rays)), allocate_hits(len(passed))
+            aim_at_points(frame.position, rows[passed], camera_rays.direction, again)
+            self._look(now, rows[passed], again, met)
+            for target, values in zip(seen, met, strict=True):
+                target[passed] = values
+        self.counters["clump_rays"] += len(rows) + len(passed)
         found = np.flatnonzero(seen.triangle >= 0)
         if not len(found):
             return
