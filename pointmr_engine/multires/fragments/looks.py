@@ -69,8 +69,8 @@ def _deviation(row, s, x, y, z):
 def end_behind_clumps(view, matrix, entries, surfels, fragments, first, rows, hits, rays):
     """End rays 0..len(rows) behind the clumps that the fragments first + rows show, where these are drawn with gaps.
 
-    With as many as there are: what goes on through more of them would show too much of what lies behind. Where a clump
-    is drawn without gaps, rays tell where they are.
+    What is drawn leaves as many subpixels open as the clump has gaps: rays that went through it besides would show more
+    of what lies behind. Where a clump is drawn without gaps, rays tell where they are.
 
     matrix (K, 12) float64 camera_from_group of the tile's placements; surfels (S, 16): of the sample sets; hits: of the
     fragments, without `first`.
