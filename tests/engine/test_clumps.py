@@ -13,7 +13,8 @@ from pointmr_engine.scene.group import Instances, instance
 from tests.engine.small_scenes import at, quad
 
 SIDE = 10  # shoots a side
-APART = 1.3  # of their length
+APART = 1.3  # metres from one to the next
+NEEDLES = 90
 
 
 def glowing(*colour: float) -> Material:
@@ -22,22 +23,22 @@ def glowing(*colour: float) -> Material:
     return Material("glowing", Graph(nodes, surface=Link("glow", "emission")), emission_sampling="none")
 
 
-def shoot(material: Material, rng, needles=90, length=1.0) -> Mesh:
-    """A conifer's shoot along x without its stem: needles of three thin triangles on all sides."""
-    turn = np.pi * (3 - 5**0.5) * np.arange(needles)
-    ahead = np.stack([np.full(needles, 0.75), np.cos(turn), np.sin(turn)], 1) + rng.normal(
-        0, 0.1, (needles, 3)
+def shoot(material: Material, rng) -> Mesh:
+    """A conifer's shoot along x, a metre long, without its stem: needles of three thin triangles on all sides."""
+    turn = np.pi * (3 - 5**0.5) * np.arange(NEEDLES)
+    ahead = np.stack([np.full(NEEDLES, 0.75), np.cos(turn), np.sin(turn)], 1) + rng.normal(
+        0, 0.1, (NEEDLES, 3)
     )
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     side = np.cross((0.0, 0.0, 1.0), ahead)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     up = np.cross(ahead, side)
-    base = np.stack([length * (np.linspace(0, 1, needles) - 0.5), 0 * turn, 0 * turn], 1)
+    base = np.stack([np.linspace(-0.5, 0.5, NEEDLES), 0 * turn, 0 * turn], 1)
     ring = 0.07 * np.stack([np.cos(np.arange(3) * 2.1), np.sin(np.arange(3) * 2.1)], 1)
-    size = 0.09 * length
+    size = 0.09
     corners = [base + size * (c * side + s * up) for c, s in ring] + [base + size * ahead]
     points = np.stack(corners, 1).reshape(-1, 3).astype(np.float32)
-    faces = np.array([(0, 1, 3), (1, 2, 3), (2, 0, 3)]) + 4 * np.arange(needles)[:, None, None]
+    faces = np.array([(0, 1, 3), (1, 2, 3), (2, 0, 3)]) + 4 * np.arange(NEEDLES)[:, None, None]
     return Mesh("shoot", points, faces.reshape(-1, 3).astype(np.int32), materials=(material,))
 
 
