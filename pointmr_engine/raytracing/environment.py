@@ -20,6 +20,8 @@ from pointmr_engine.shading.program import Program, compile_graph, evaluate_back
 OFF, UNIFORM, MAP, ABOVE = 0, 1, 2, 3
 _LARGEST_MAP = 4096
 _SUN_SHARE = 0.8  # of the samples that go to the world, when its sky has a sun disc
+_EVEN = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of its samples that may go by the cosine
+_TRIALS = 4096  # texels by which they are compared
 
 # what the Light Path node sees, by the visibility bit of the ray; 0: a light sample
 _RAY_KINDS = {
@@ -39,7 +41,9 @@ class WorldMap(NamedTuple):
     columns: np.ndarray  # (H, W + 1) float32 distribution over the columns of each row, 0 to 1
     edges: np.ndarray  # (H + 1,) float64 height z of the rows' borders
     sun: np.ndarray  # (5,) float64: unit direction, 1 - cos of the half angle, share of samples (0: no sun)
-    irradiance: float  # what the world gives to a surface that sees all of it, roughly
+    even: float  # share of the samples but for the sun's that goes by the cosine at the surface, not by the texels
+    irradiance: float  # what the world gives to a surface that sees all of it, its mean over all normals
+    towards: np.ndarray  # (3,) float64: by how much that changes with the normal, roughly (linear in it)
 
 
 class Environment:
@@ -81,9 +85,10 @@ class Environment:
 
 
 def _no_map(mode: int = OFF, irradiance: float = 0.0) -> WorldMap:
-    """A world that needs no map."""
+    """What needs no texels: nothing, or samples that all go by the cosine."""
     empty = np.zeros((1, 2), np.float32)
-    return WorldMap(mode, np.array([0.0, 1.0]), empty, np.array([-1.0, 1.0]), np.zeros(5), irradiance)
+    rows, edges = np.array([0.0, 1.0]), np.array([-1.0, 1.0])
+    return WorldMap(mode, rows, empty, edges, np.zeros(5), 1.0, irradiance, np.zeros(3))
 
 
 def _image_width(world: World) -> int:
@@ -109,7 +114,7 @@ def _find_sun(world: World) -> tuple[np.ndarray, float] | None:
 
 
 def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | None) -> WorldMap:
-    """Importance map of width x width / 2 texels."""
+    """Importance map of width x width / 2 texels, or of none where the cosine samples the world better."""
     height = max(width // 2, 2)
     # rows of equal angle, as images have them; a texel's density is uniform in solid angle
     edges = -np.cos(np.linspace(0.0, math.pi, height + 1))
@@ -126,22 +131,54 @@ def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | Non
         d[..., 2] = -np.cos(rows)[:, None]
         radiance = np.abs(evaluate_background(program, d.reshape(-1, 3), 0)).mean(1)
         weight[first : first + chunk] = np.nan_to_num(radiance, posinf=0.0).reshape(len(rows), width)
-    mean = float((weight.mean(1, dtype=np.float64) * np.diff(edges)).sum() / 2.0)
+    of_rows = np.diff(edges) / (2.0 * width)
+    along = weight @ np.stack([np.cos(azimuth), np.sin(azimuth), np.ones(width)], 1)
+    mean = float(of_rows @ along[:, 2])
     if not mean > 0.0:
         return _no_map()
+    towards = of_rows @ (along * np.stack([np.sin(angle), np.sin(angle), -np.cos(angle)], 1))
     sun_row = np.zeros(5)
     if sun is not None and sun[1] > 0.0:
         sun_row[:3], sun_row[3], sun_row[4] = sun[0], 2.0 * math.sin(0.5 * sun[1]) ** 2, _SUN_SHARE
         disc = evaluate_background(program, sun[0][None, :], 0)
-        mean += float(np.abs(disc).mean()) * sun_row[3] / 2.0
-    weight = _widened(weight)
+        of_sun = float(np.abs(disc).mean()) * sun_row[3] / 2.0
+        mean, towards = mean + of_sun, towards + of_sun * sun_row[:3]
+    # spherical harmonics to the first order (Ramamoorthi and Hanrahan 2001)
+    irradiance, towards = math.pi * mean, 2.0 * math.pi * towards
+    radiance, weight = weight, _widened(weight)
+    even = _even_share(radiance, weight, solid_angle, azimuth, angle)
+    if even == 1.0:
+        return _no_map(MAP, irradiance)._replace(sun=sun_row, towards=towards)
     columns = np.zeros((height, width + 1), np.float32)
     total = np.cumsum(weight, axis=1, dtype=np.float64)
     row_weight = total[:, -1] * solid_angle
     total /= np.where(total[:, -1:] > 0.0, total[:, -1:], 1.0)
     columns[:, 1:] = total
     rows = np.concatenate([[0.0], np.cumsum(row_weight)])
-    return WorldMap(MAP, rows / rows[-1], columns, edges, sun_row, math.pi * mean)
+    return WorldMap(MAP, rows / rows[-1], columns, edges, sun_row, even, irradiance, towards)
+
+
+def _even_share(radiance, weight, solid_angle, azimuth, angle) -> float:
+    """Which of _EVEN gives the least variance of one sample, over surfaces that face along the axes.
+
+    A sky that is nearly even is sampled best by the cosine at the surface: no sample falls behind it, and few where it
+    receives little. Suns are not met that way. radiance, weight (H, W): of the texels, and by which they are sampled;
+    solid_angle, angle (H,), azimuth (W,): theirs.
+    """
+    width = weight.shape[1]
+    share = np.cumsum(weight * solid_angle[:, None], dtype=np.float64)  # over all texels, in one row
+    at = np.searchsorted(share, (np.arange(_TRIALS) + 0.5) * (share[-1] / _TRIALS))
+    row, column = np.divmod(np.minimum(at, weight.size - 1), width)
+    density = weight[row, column] / share[-1]
+    x, y = np.sin(angle[row]) * np.cos(azimuth[column]), np.sin(angle[row]) * np.sin(azimuth[column])
+    d = np.stack([x, y, -np.cos(angle[row])], 1)
+    cosine = np.maximum(np.concatenate([d, -d], 1), 1e-9)
+    received = radiance[row, column][:, None] * cosine
+    squares = [
+        (received**2 / (density[:, None] * ((1.0 - e) * density[:, None] + e / math.pi * cosine))).sum()
+        for e in _EVEN
+    ]
+    return _EVEN[int(np.argmin(squares))]
 
 
 def _widened(weight: np.ndarray) -> np.ndarray:
@@ -194,18 +231,37 @@ def _sun_offset(world, dx, dy, dz):
 
 
 @uncounted
+def _cosine_density(nx, ny, nz, transmissive, dx, dy, dz):
+    """Density per solid angle of _cosine_sample."""
+    c = nx * dx + ny * dy + nz * dz
+    return abs(c) / (2.0 * math.pi) if transmissive else max(0.0, c) / math.pi
+
+
+@uncounted
+def _cosine_sample(nx, ny, nz, transmissive, u1, u2):
+    """A direction by the cosine to the normal, on both sides of what transmits."""
+    side = 1.0
+    if transmissive:
+        side = 1.0 if u1 < 0.5 else -1.0
+        u1 = 2.0 * u1 if u1 < 0.5 else 2.0 * u1 - 1.0
+    dx, dy, dz, _ = cosine_hemisphere(side * nx, side * ny, side * nz, u1, u2)
+    return dx, dy, dz
+
+
+@uncounted
 def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
     """Density per solid angle with which `sample_world` chooses the direction d."""
-    if world.mode == UNIFORM or world.mode == ABOVE:
-        if transmissive and world.mode == UNIFORM:
-            return 1.0 / (4.0 * math.pi)
-        return max(0.0, nx * dx + ny * dy + nz * dz) / math.pi
     if world.mode == OFF:
         return 0.0
-    width = world.columns.shape[1] - 1
-    row = _row_of(world.edges, dz)
-    column = min(width - 1, max(0, int((math.atan2(dy, dx) + math.pi) * (width / (2.0 * math.pi)))))
-    density = _map_density(world, row, column) * (1.0 - world.sun[4])
+    transmissive = transmissive and world.mode != ABOVE
+    density = 0.0
+    if world.even < 1.0:
+        width = world.columns.shape[1] - 1
+        row = _row_of(world.edges, dz)
+        column = min(width - 1, max(0, int((math.atan2(dy, dx) + math.pi) * (width / (2.0 * math.pi)))))
+        density = _map_density(world, row, column)
+    density += world.even * (_cosine_density(nx, ny, nz, transmissive, dx, dy, dz) - density)
+    density *= 1.0 - world.sun[4]
     if world.sun[4] > 0.0 and _sun_offset(world, dx, dy, dz) <= world.sun[3]:
         density += world.sun[4] / (2.0 * math.pi * world.sun[3])
     return density
@@ -214,17 +270,16 @@ def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
 @uncounted
 def sample_world(world, nx, ny, nz, transmissive, u1, u2):
     """Choose a direction to the world: (dx, dy, dz, density). n: the unit normal of the surface that is lit."""
-    if world.mode == UNIFORM or world.mode == ABOVE:
-        if transmissive and world.mode == UNIFORM:
-            dx, dy, dz, _ = uniform_cone(0.0, 0.0, 1.0, 2.0, u1, u2)
-            return dx, dy, dz, 1.0 / (4.0 * math.pi)
-        dx, dy, dz, c = cosine_hemisphere(nx, ny, nz, u1, u2)
-        return dx, dy, dz, c / math.pi
+    transmissive = transmissive and world.mode != ABOVE
     share = world.sun[4]
     if u1 < share:
         dx, dy, dz, _ = uniform_cone(world.sun[0], world.sun[1], world.sun[2], world.sun[3], u1 / share, u2)
         return dx, dy, dz, world_density(world, nx, ny, nz, transmissive, dx, dy, dz)
     u1 = (u1 - share) / (1.0 - share)
+    if u1 < world.even or world.even == 1.0:
+        dx, dy, dz = _cosine_sample(nx, ny, nz, transmissive, u1 / world.even, u2)
+        return dx, dy, dz, world_density(world, nx, ny, nz, transmissive, dx, dy, dz)
+    u1 = (u1 - world.even) / (1.0 - world.even)
     width = world.columns.shape[1] - 1
     row = _row_of(world.rows, u2)
     start = world.rows[row]
@@ -239,6 +294,6 @@ def sample_world(world, nx, ny, nz, transmissive, u1, u2):
     phi = (column + min(1.0, max(0.0, (u1 - left) / step))) * (2.0 * math.pi / width) - math.pi
     r = math.sqrt(max(0.0, 1.0 - z * z))
     dx, dy = r * math.cos(phi), r * math.sin(phi)
-    if share == 0.0:
+    if share == 0.0 and world.even == 0.0:
         return dx, dy, z, _map_density(world, row, column)
     return dx, dy, z, world_density(world, nx, ny, nz, transmissive, dx, dy, z)

@@ -40,6 +40,8 @@ from pointmr_engine.raytracing.light_tree_nodes import (
     WORLD,
 )
 
+LEAST_OF_WORLD = 0.25  # of its mean irradiance: importance for surfaces that face its dark side
+
 
 @uncounted
 def _facing(cosine, cos_u, sin_u, cos_o, sin_o, cos_oe):
@@ -63,7 +65,10 @@ def _far_importance(values, node, nx, ny, nz, transmissive):
     """node_importance of suns and the world."""
     energy = values[node, ENERGY]
     if values[node, KIND] == WORLD:
-        return energy
+        if transmissive:
+            return 2.0 * energy
+        more = values[node, AX] * nx + values[node, AY] * ny + values[node, AZ] * nz
+        return max(energy + more, LEAST_OF_WORLD * energy)
     c = values[node, AX] * nx + values[node, AY] * ny + values[node, AZ] * nz
     if transmissive:
         c = abs(c)

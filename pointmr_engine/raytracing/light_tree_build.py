@@ -54,6 +54,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap, apart: b
     if world.mode != OFF and not apart:
         row = np.zeros((1, COLUMNS))
         row[0, ENERGY], row[0, KIND] = world.irradiance, WORLD
+        row[0, AX : AZ + 1] = world.towards
         far_values, far_item = np.concatenate([far_values, row]), np.append(far, 0)
     n, lights = len(item), len(item) + len(far_item)
     if n > _FEW:
