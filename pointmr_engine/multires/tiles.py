@@ -27,7 +27,8 @@ class TracedTiles(Workspace):
     def __init__(self, image):
         super().__init__(image)
         n = len(self.fragments.entry)
-        self.into, self.largest = np.empty(n, np.int32), np.empty(n, np.int32)
+        self.into, self.work = np.empty(n, np.int32), np.empty(n, np.int32)
+        self.rank = np.empty(n, np.float32)
         self.seen = np.empty((n, 2), np.float32)
         # of all fragments, of which there are `all`, the one that each has its light from
         self.stands, self.all = np.empty(n, np.int32), 0
@@ -79,18 +80,18 @@ class TracedTiles(Workspace):
         merged = merge_fragments(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.cell),
             image.view.perspective, np.float64(image.footprint), self.fragments, np.int64(count), self.into,
-            self.largest,
+            self.rank,
         )  # fmt: skip
         if image.beside:
             merged = thin_margin(
                 self.target.ids, np.int64(self.width), np.int64(self.height),
                 np.int64(image.beside * image.subpixels), np.int64(image.cone), self.fragments, np.int64(merged),
-                self.into, self.largest,
+                self.into, self.work,
             )  # fmt: skip
         shaded = self._stand_in(hierarchy, merged)
         choose_seen(
             self.target.ids, np.int64(self.width), np.int64(self.height), np.int64(self.left), np.int64(self.low),
-            self.target.shift, np.int64(merged), self.largest, self.seen,
+            self.target.shift, np.int64(merged), self.work, self.seen,
         )  # fmt: skip
         return shaded
 
@@ -104,6 +105,6 @@ class TracedTiles(Workspace):
             f, np.int64(count), self.image.shining[material], np.int64(self.cell), shape, np.int64(self.left),
             np.int64(self.low), np.int64(self.image.settings.seed), self.stands,
         )  # fmt: skip
-        shaded = bring_forward(f, np.int64(count), self.stands, self.into, self.largest)
+        shaded = bring_forward(f, np.int64(count), self.stands, self.into, self.work)
         renumber(self.target.ids, np.int64(self.width), np.int64(self.height), self.into)
         return shaded

@@ -148,7 +148,8 @@ def merge_cells(
                     found = np.int64(g)
                     break
             if found >= 0:
-                join(f, found, np.int64(k), largest)
+                join(f, found, np.int64(k), f.count[k] > largest[found])
+                largest[found] = max(f.count[k], largest[found])
                 weight[found] += weight[k]
                 continue
             if groups != k:

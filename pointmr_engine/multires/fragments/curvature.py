@@ -1,5 +1,7 @@
-"""Curvature of smooth-shaded triangles, from their corners' normals: what the normals of a footprint are, and how far
-they spread.
+"""Triangles beyond their edges: fragments are merged of several, of which one stands for all.
+
+Its textures and normals go on to the middle of what is seen of them. How far the normals of a smooth triangle spread in
+a footprint follows from those of its corners.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 from pointmr_engine.numerics.transforms import cofactors
 
-BEYOND = 3.0  # barycentric coordinates: how far outside a triangle its normals go on
+# barycentric coordinates: how far outside a triangle its normals go on, and its textures, whose values at corners may
+# be anything
+BEYOND, BEYOND_OF_TEXTURES = 3.0, 0.5
 ALIKE = 0.9  # least cosine between the normal at a fragment's middle and that of its hit
 RIM = 0.45  # cosine to the viewer below which the hit's normal stays: wide lobes that graze lose light
 FLATTEST = 1e-5  # variance of slopes below which a footprint counts as flat
@@ -94,19 +98,19 @@ def _place_on(tables, p, t, m, x, y, z):
 
 
 @uncounted
-def mean_normals(tables, hits, fragments, first, rows, count, direction, world_from_camera, normal, q):
-    """normal (N, 3) float32 at rows[0..count]: smooth normals at the middles of what is seen of fragments first + row.
+def go_to_middles(
+    tables, hits, fragments, first, rows, count, stays, direction, world_from_camera, normal, place, q
+):  # fmt: skip
+    """Normals and textures at rows[0..count] are those at the middles of what is seen of fragments first + row.
 
-    Fragments are merged of several triangles, of which one stands for all: its normals go on beyond its edges. Where
-    the middle lies far outside, the normal at the hit stays. direction (N, 3): of the camera's rays; q (3, 3)
-    float64 to work in.
+    normal (N, 3) float32: smooth normals; place (N, 2) float64, barycentric: where textures are read. Where the middle
+    lies far outside the triangle, or the hit's place was chosen (stays (N,) bool), both are left. direction (N, 3): of
+    the camera's rays; q (3, 3) float64 to work in.
     """
     c = world_from_camera
     for i in range(count):
         k = rows[i]
         p = np.int64(hits.part[k])
-        if tables.normals[p] == 0:
-            continue
         t, m, f = (
             np.int64(hits.triangle[k]) - np.int64(tables.first_triangle[p]),
             hits.world_from_part[k],
@@ -121,7 +125,10 @@ def mean_normals(tables, hits, fragments, first, rows, count, direction, world_f
             tables, p, t, m, c[0, 0] * a + c[0, 1] * b + c[0, 2] * d + c[0, 3],
             c[1, 0] * a + c[1, 1] * b + c[1, 2] * d + c[1, 3], c[2, 0] * a + c[2, 1] * b + c[2, 2] * d + c[2, 3],
         )  # fmt: skip
-        if min(u, v, 1.0 - u - v) < -BEYOND:
+        least = min(u, v, 1.0 - u - v)
+        if least >= -BEYOND_OF_TEXTURES and not stays[k]:
+            place[k, 0], place[k, 1] = u, v
+        if least < -BEYOND or tables.normals[p] == 0:
             continue
         x, y, z = interpolated_normal(tables, p, t, u, v)
         cofactors(m, q)

@@ -56,12 +56,21 @@ def copy_fragment(f: Fragments, g, k):
 
 
 @device
-def join(f: Fragments, g, k, largest):
-    """Average fragment k into g. largest (F,) int32: subpixels of the fragment that represents each group."""
+def rank_of(f: Fragments, k, left, top, side):
+    """By which fragments of a cell, which begins at (left, top), represent others: large ones near its middle.
+
+    What is read at the cell's edge makes fine textures noisy; of coarse meshes, the largest part says most of the rest.
+    """
+    dx, dy = f.x[k] - left - 0.5 * side, f.y[k] - top - 0.5 * side
+    return np.float32(-(dx * dx + dy * dy) / f.count[k] ** 2)
+
+
+@device
+def join(f: Fragments, g, k, stands):
+    """Average fragment k into g. stands: k represents both from now on."""
     n, m = np.float32(f.count[g]), np.float32(f.count[k])
     s = m / (n + m)
-    if f.count[k] > largest[g]:
-        largest[g] = f.count[k]
+    if stands:
         f.entry[g], f.part[g], f.triangle[g], f.row[g] = f.entry[k], f.part[k], f.triangle[k], f.row[k]
         f.place[g, 0], f.place[g, 1] = f.place[k, 0], f.place[k, 1]
     f.x[g] += s * (f.x[k] - f.x[g])
@@ -117,11 +126,12 @@ def choose_seen(ids, width, height, left, low, shift, count, times, seen):
 
 @uncounted
 def merge_fragments(
-    ids, width, height, subpixels, perspective, pixel, fragments: Fragments, count, into, largest
+    ids, width, height, subpixels, perspective, pixel, fragments: Fragments, count, into, rank
 ):
     """Merge fragments 0..count of a tile in place; `ids` then holds the merged ones' numbers; returns how many.
 
-    pixel: width of a pixel's footprint at depth 1 (perspective) or in metres; into, largest (F,) int32 to work in.
+    pixel: width of a pixel's footprint at depth 1 (perspective) or in metres; into (F,) int32, rank (F,) float32 to
+    work in.
     Fragments must be numbered in the order in which the tile's pixels show them (fragments.find_fragments).
     """
     f, groups = fragments, np.int64(0)
@@ -143,13 +153,15 @@ def merge_fragments(
                         if mergeable(f, g, k, footprint):
                             found = g
                             break
+                    own = rank_of(f, k, left, top, subpixels)
                     if found >= 0:
-                        join(f, found, k, largest)
+                        join(f, found, k, own > rank[found])
+                        rank[found] = max(own, rank[found])
                         into[k] = found
                     else:
                         if groups != k:
                             copy_fragment(f, groups, k)
-                        largest[groups] = f.count[groups]
+                        rank[groups] = own
                         into[k] = groups
                         groups += 1
     renumber(ids, width, height, into)

@@ -38,14 +38,15 @@ def _is_chosen(turns, chosen, k, seen, own, key, left, low, seed):
 
 @uncounted
 def merge_views(
-    order, key, perspective, footprint, f: Fragments, count, into, largest, kept, chosen, times, turns, left, low, seed
+    order, key, perspective, footprint, f: Fragments, count, into, rank, kept, chosen, times, turns, left, low, seed
 ):  # fmt: skip
     """Merge fragments 0..count that have the same key and continue each other's surface; returns how many are left.
 
     order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share. There one
     of them represents all, by chance, for what is sharp must not be asked in the same places always. The merged ones
-    take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of; chosen
-    (N,) int64 to work in; times (N,) float32: how often each counts. turns (N,) uint8: of deal_out; left, low: the
+    take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of; rank (N,)
+    float32: by which one represents the others, see merge.rank_of; chosen (N,) int64
+    to work in; times (N,) float32: how often each counts. turns (N,) uint8: of deal_out; left, low: the
     tile's first cell of single views.
     """
     groups, first, last = np.int64(0), np.int64(0), np.int64(-1)
@@ -66,7 +67,8 @@ def merge_views(
         if found >= 0:
             g = kept[found]
             if key[k] >> VIEW == 0:
-                join(f, g, k, largest)
+                join(f, g, k, rank[k] > rank[g])
+                rank[g] = max(rank[k], rank[g])
             else:
                 own, seen = f.count[k], f.count[g] + f.count[k]
                 if _is_chosen(turns, chosen[found], k, seen, own, key[k], left, low, seed):
@@ -80,7 +82,6 @@ def merge_views(
             into[k] = found
         else:
             kept[groups] = chosen[groups] = k
-            largest[k] = f.count[k]
             into[k] = groups
             groups += 1
     for n in range(groups):
@@ -94,7 +95,7 @@ def place_merged(
 ):  # fmt: skip
     """Put triangles' fragments 0..count that views share where the lens' centre sees them: there they are shaded.
 
-    They have the place of their largest part, which is one view's, and not in the middle of what all of them show.
+    They have the place of one of their parts, which is one view's, and not in the middle of what all of them show.
     surfel (E,) int64: of Entries; left, low: of the tile; corners (3, 3) float64 to work in; others: fill_fragments.
     """
     f = fragments

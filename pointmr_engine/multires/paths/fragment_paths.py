@@ -16,7 +16,7 @@ from pointmr_engine.forward.reconstruction.fragments import cell_at
 from pointmr_engine.forward.shading.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.shading.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
-from pointmr_engine.multires.fragments.curvature import mean_normals, spread_of_curvature
+from pointmr_engine.multires.fragments.curvature import go_to_middles, spread_of_curvature
 from pointmr_engine.multires.fragments.looks import aim_at_points
 from pointmr_engine.multires.fragments.texture_slopes import slopes_in_image
 from pointmr_engine.multires.paths.path_pool import PathPool
@@ -181,6 +181,8 @@ class FragmentPaths(Workspace):
         self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
         self.pixel, self.in_pixel = np.empty(n, np.int64), np.empty((0, 0), np.int32)
         self.coloured, self.let_pass = np.zeros(n, np.bool_), np.zeros(n, np.float32)
+        self.holed, self.place = np.zeros(n, np.bool_), np.empty((n, 2), np.float32)
+        self.hit = None  # rows and places of hits, while their textures are read elsewhere
         self.own_slopes = allocate_texture_slopes(n)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
         # of all fragments whose paths are under way; self.samples: of one batch, while its first surfaces are lit
@@ -238,16 +240,18 @@ class FragmentPaths(Workspace):
             image.view, image.footprint, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f,
             first_, space.eyes, n_, now.rays, hits, now.state.width,
         )  # fmt: skip
+        self.holed[:count] = False
         if len(hierarchy.cut_outs.mask):
-            narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width)
+            narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width, self.holed)
         place_values(values, f, first_, n_, hits)
         frame = self.frames
         frames(self.stage.shader.geometry, now.rays, hits, frame, 0, count)
         entries = space.scratch.entries
         triangles = np.flatnonzero(entries.surfel[f.entry[first : first + count]] < 0)
-        mean_normals(
-            self.stage.shader.geometry.tables, hits, f, first_, triangles, np.int64(len(triangles)),
-            now.rays.direction, to_world, frame.smooth_normal, np.empty((3, 3)),
+        self.place[:count, 0], self.place[:count, 1] = hits.u[:count], hits.v[:count]
+        go_to_middles(
+            self.stage.shader.geometry.tables, hits, f, first_, triangles, np.int64(len(triangles)), self.holed,
+            now.rays.direction, to_world, frame.smooth_normal, self.place, np.empty((3, 3)),
         )  # fmt: skip
         own = [a[:count].copy() for a in (frame.smooth_normal, frame.geometric_normal, frame.backfacing)]
         position = frame.position[:count].copy()
@@ -278,6 +282,8 @@ class FragmentPaths(Workspace):
         else:
             now.state.spread[:count] = 0.0
         self.first, self.count = first, count
+        self.hit = triangles, hits.u[triangles], hits.v[triangles]
+        hits.u[triangles], hits.v[triangles] = self.place[triangles].T
         n = self.meet(self.tile, now, then, count, 0)
         if space.textures is not None:
             slopes_in_image(
@@ -400,5 +406,6 @@ class FragmentPaths(Workspace):
 
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:
+            triangles, self.hits.u[triangles], self.hits.v[triangles] = self.hit
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
             close_transparency(self.lobes, now.throughput, self.coloured, self.let_pass, np.int64(n))
