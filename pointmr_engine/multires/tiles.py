@@ -42,6 +42,13 @@ class TracedTiles(Workspace):
     def cell_of(image) -> int:
         return CELL
 
+    def widen_footprints(self, first: int, width: np.ndarray) -> None:
+        """Footprints width (n,) of fragments first.. are of a cell; here all cells are as large."""
+
+    def cone_widths(self, first: int, width: np.ndarray) -> np.ndarray:
+        """(n,) how wide cones are, of fragments first.. with footprints width (n,)."""
+        return self.image.cone / self.cell * width
+
     def look(self, first: int, rows: np.ndarray, direction: np.ndarray, rays) -> None:
         """Aim rays at fragments first + rows, through places of the image that show them: looks.look_where_seen."""
         image = self.image

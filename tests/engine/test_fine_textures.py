@@ -1,9 +1,11 @@
 """Fine textures at one cone a pixel, beside what the pixel filter makes of them: checks, stripes, pixel art."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pointmr_engine import Camera, Material, RenderSettings, Scene, render, uniform_world
+from pointmr_engine import Camera, Material, Mesh, RenderSettings, Scene, render, uniform_world
 from pointmr_engine.image.filters import filter_extent, filter_weight
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import Group
@@ -95,6 +97,49 @@ def test_texels_that_are_not_interpolated_have_smooth_edges(side):
     graph.nodes["d"] = Node("emission", {"color": Link("t", "color")})
     graph.surface = Link("d", "emission")
     assert floors_differ(Material("pixel art", graph)) < 0.01
+
+
+def grid(side: float, size: float, material: Material) -> Mesh:
+    """A square of triangles that are `size` long, facing up."""
+    n = int(side / size) + 1
+    x = np.linspace(-side / 2, side / 2, n + 1)
+    positions = np.stack([*np.meshgrid(x, x), np.zeros((n + 1, n + 1))], -1).reshape(-1, 3)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    triangles = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
+    return Mesh("grid", positions.astype(np.float32), triangles.astype(np.int32), materials=(material,))
+
+
+def threads(width: float) -> Material:
+    """A glowing weave, image texels `width` pixels wide, interpolated."""
+    rng, n = np.random.default_rng(3), 64
+    pixels = np.ones((n, n, 4), np.float32)
+    pixels[..., :3] = (rng.random((n, 1)) * rng.random((1, n)))[..., None]
+    graph = striped()
+    graph.nodes["m"].inputs["scale"] = (1 / (n * width),) * 3
+    graph.nodes["t"].params.update(image=Image("threads", pixels, "Linear"))
+    graph.nodes["d"] = Node("emission", {"color": Link("t", "color")})
+    graph.surface = Link("d", "emission")
+    return Material("threads", graph)
+
+
+@pytest.mark.parametrize(
+    "size, lens, rms",
+    [(0.9, False, 0.001), (0.4, False, 0.01), (0.15, False, 0.01), (0.9, True, 0.005), (0.4, True, 0.007)],
+)
+def test_textures_of_dense_meshes_are_as_those_of_one_square(size, lens, rms):
+    """Triangles `size` pixels large: 0.005 to 0.018 off where a part of a cone was read at one of its fragments."""
+    material, camera = threads(1.0), from_above(kind="ORTHOGRAPHIC", ortho_scale=float(SIDE))
+    if lens:
+        camera = replace(camera, fstop=0.25, focus_distance=4.0)  # one pixel out of focus
+    settings = RenderSettings(SIDE, SIDE, method="raytrace")
+    dense, whole = (
+        render(Scene(Group("root", [mesh]), camera, [], uniform_world(BLACK)), settings).passes["combined"][
+            ..., 0
+        ]
+        for mesh in (grid(1.2 * SIDE, size, material), quad(1.2 * SIDE, material=material))
+    )
+    assert whole.std() > 0.03
+    assert np.sqrt(((dense - whole) ** 2).mean()) < rms
 
 
 def test_footprints_lie_in_the_image_as_its_cells_do():

@@ -185,6 +185,44 @@ def test_world_density_integrates_to_one_and_matches_samples():
     assert (np.abs(again / out.pdf - 1.0) < 1e-5).mean() > 0.998  # but for texel borders
 
 
+def gradient_world(power: float, sun: float = 1.0) -> World:
+    """Brighter towards +z, by a power of the height; one texel of 64 x 128 is `sun` times as bright."""
+    pixels = np.ones((64, 128, 4), np.float32)
+    z = -np.cos((np.arange(64) + 0.5) * math.pi / 64)
+    pixels[..., :3] = (0.2 + (0.5 + 0.5 * z) ** power)[:, None, None]
+    pixels[50, 40, :3] *= sun
+    return image_world(pixels, sampling="MANUAL", map_resolution=128)
+
+
+def test_a_sky_that_is_nearly_even_is_sampled_by_the_cosine():
+    """By its texels, half of the samples fell below the surface, and the others had a deviation of 0.6 to 2."""
+    lights = lights_of(world=gradient_world(1.0))
+    assert lights.arrays.world.even == 1.0 and lights.arrays.world.columns.size == 2  # no texels are kept
+    for normal in (UP, (0.0, 0.8, -0.6), (0.0, 0.0, -1.0)):
+        found = by_lights(lights, (0.0, 0.0, 0.0), normal)
+        assert (found[:, 1] > 0.0).all()
+        assert found[:, 1].std() < 0.5 * found[:, 1].mean()
+        assert by_rays(lights, (0.0, 0.0, 0.0), normal).mean(0) == pytest.approx(found.mean(0), rel=0.02)
+        # by its normal, to the first order: exact for what is linear in the height, as here
+        world, n = lights.arrays.world, np.array(normal)
+        assert world.irradiance + world.towards @ n == pytest.approx(found[:, 1].mean(), rel=0.02)
+
+
+@pytest.mark.parametrize("power, sun", [(1.0, 3000.0), (6.0, 100.0)])
+def test_shares_of_texels_and_cosine_bring_the_same_light(power, sun):
+    lights = lights_of(world=gradient_world(power, sun))
+    assert lights.arrays.world.even < 1.0
+    for normal in (UP, (0.0, 0.8, -0.6)):
+        found = by_lights(lights, (0.0, 0.0, 0.0), normal)[:, 1]
+        z = (np.arange(1024) + 0.5) / 512 - 1.0
+        phi = (np.arange(2048) + 0.5) / 2048 * 2.0 * math.pi
+        r = np.sqrt(1.0 - z * z)
+        d = np.stack([r[:, None] * np.cos(phi), r[:, None] * np.sin(phi), np.repeat(z[:, None], 2048, 1)], -1)
+        cosine = np.maximum(d @ np.array(normal), 0.0).ravel()
+        exact = 4.0 * math.pi * (lights.world_radiance(d.reshape(-1, 3), DIFFUSE)[:, 1] * cosine).mean()
+        assert found.mean() == pytest.approx(exact, rel=0.02)
+
+
 def test_sun_of_a_sky_is_sampled_by_itself():
     sky = {"sun_disc": True, "sun_elevation": 0.7, "sun_rotation": 2.0, "sun_size": 0.009512}
     nodes = {

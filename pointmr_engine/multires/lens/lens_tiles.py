@@ -277,6 +277,16 @@ class LensTiles(TracedTiles):
         self.eyes = points[self.key >> VIEW]
         return count
 
+    def widen_footprints(self, first: int, width: np.ndarray) -> None:
+        width *= self._larger(first, len(width))
+
+    def cone_widths(self, first: int, width: np.ndarray) -> np.ndarray:
+        return super().cone_widths(first, width) / self._larger(first, len(width))
+
+    def _larger(self, first: int, count: int) -> np.ndarray:
+        """(count,) float32: how much larger the cells of fragments first.. are than without a lens."""
+        return 1.0 + (self.key[first : first + count] >> MIXED & 1).astype(np.float32)
+
     def _slopes(self, count: int) -> Slopes:
         """Of what views share; what each asks for itself shows its light where it was asked."""
         image, slopes = self.image, allocate_slopes(count)
@@ -288,9 +298,7 @@ class LensTiles(TracedTiles):
             self.fragments, self.light, half, np.empty((n, COLUMNS), np.float32), slopes,
         )  # fmt: skip
         slopes.x[n:], slopes.y[n:] = 0.0, 0.0
-        # of larger cells, footprints cover a part only
-        own_size = np.searchsorted(shared, 1 << MIXED)
-        take_texture_slopes(self.textures, self.light, own_size, slopes)
+        take_texture_slopes(self.textures, self.light, np.int64(n), slopes)
         return slopes
 
     def _filtered(self, values, background, rows: int, columns: int) -> np.ndarray:

@@ -241,6 +241,7 @@ class FragmentPaths(Workspace):
             first_, space.eyes, n_, now.rays, hits, now.state.width,
         )  # fmt: skip
         self.holed[:count] = False
+        space.widen_footprints(first, now.state.width[:count])
         if len(hierarchy.cut_outs.mask):
             narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width, self.holed)
         place_values(values, f, first_, n_, hits)

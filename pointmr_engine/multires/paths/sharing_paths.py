@@ -107,7 +107,7 @@ class SharingPaths(EdgePaths):
     def _cone_widths(self, now, n: int) -> np.ndarray:
         """(n,) float64: how wide a cone is where it meets the batch's fragments, metres."""
         width = now.state.width[:n] + now.state.spread[:n] * self.hits.t[:n]
-        return self.space.image.cone / self.space.cell * width.astype(np.float64)
+        return self.space.cone_widths(self.first, width.astype(np.float64))
 
     def _count_peers(self, now) -> None:
         """Fill `peers` with how many cones share what each of the batch's fragments receives of the world."""
