@@ -43,7 +43,7 @@ class TracedTiles(Workspace):
         return CELL
 
     def widen_footprints(self, first: int, width: np.ndarray) -> None:
-        """Footprints width (n,) of fragments first.. are of a cell; here all cells are as large."""
+        """Widen footprints width (n,) of fragments first.. to those of their cells; here all cells are as large."""
 
     def cone_widths(self, first: int, width: np.ndarray) -> np.ndarray:
         """(n,) how wide cones are, of fragments first.. with footprints width (n,)."""

@@ -45,9 +45,8 @@ def merge_views(
     order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share. There one
     of them represents all, by chance, for what is sharp must not be asked in the same places always. The merged ones
     take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of; rank (N,)
-    float32: by which one represents the others, see merge.rank_of; chosen (N,) int64
-    to work in; times (N,) float32: how often each counts. turns (N,) uint8: of deal_out; left, low: the
-    tile's first cell of single views.
+    float32: by which one represents the others, see merge.rank_of; chosen (N,) int64 to work in; times (N,) float32:
+    how often each counts. turns (N,) uint8: of deal_out; left, low: the tile's first cell of single views.
     """
     groups, first, last = np.int64(0), np.int64(0), np.int64(-1)
     for n in range(count):

@@ -284,8 +284,9 @@ class LensTiles(TracedTiles):
         return super().cone_widths(first, width) / self._larger(first, len(width))
 
     def _larger(self, first: int, count: int) -> np.ndarray:
-        """(count,) float32: how much larger the cells of fragments first.. are than without a lens."""
-        return 1.0 + (self.key[first : first + count] >> MIXED & 1).astype(np.float32)
+        """(count,) float32: how much larger the cells of fragments first.. that views share are than without a lens."""
+        key = self.key[first : first + count]
+        return 1.0 + ((key >> MIXED & 1) & (key >> VIEW == 0)).astype(np.float32)
 
     def _slopes(self, count: int) -> Slopes:
         """Of what views share; what each asks for itself shows its light where it was asked."""
