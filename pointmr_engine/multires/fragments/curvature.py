@@ -103,7 +103,7 @@ def go_to_middles(
 ):  # fmt: skip
     """Normals and textures at rows[0..count] are those at the middles of what is seen of fragments first + row.
 
-    normal (N, 3) float32: smooth normals; place (N, 2) float64, barycentric: where textures are read. Where the middle
+    normal (N, 3) float32: smooth normals; place (N, 2) float32, barycentric: where textures are read. Where the middle
     lies far outside the triangle, or the hit's place was chosen (stays (N,) bool), both are left. direction (N, 3): of
     the camera's rays; q (3, 3) float64 to work in.
     """
