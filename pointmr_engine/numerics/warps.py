@@ -10,6 +10,8 @@ import math
 
 from pointmr_engine.numerics.jit import uncounted
 
+OPPOSITE = -0.9999  # cosine between corners of a spherical triangle below which they are nearly opposite
+
 
 @uncounted
 def concentric_disk(u1, u2):
@@ -92,6 +94,15 @@ def spherical_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, solid_angle, u1, u2):
     """Direction in the spherical triangle of unit vectors a, b, c, uniform in solid angle (Arvo 1995)."""
     ab = ax * bx + ay * by + az * bz
     ac = ax * cx + ay * cy + az * cz
+    bc = bx * cx + by * cy + bz * cz
+    # of corners that are nearly opposite, the arc from the third would hang on rounding: they become a and c
+    if min(ab, bc) < OPPOSITE and min(ab, bc) < ac:
+        if ab < bc:
+            ax, ay, az, bx, by, bz, cx, cy, cz = bx, by, bz, cx, cy, cz, ax, ay, az
+            ab, ac = bc, ab
+        else:
+            ax, ay, az, bx, by, bz, cx, cy, cz = cx, cy, cz, ax, ay, az, bx, by, bz
+            ab, ac = ac, bc
     # angle at a, between the planes ab and ac
     px, py, pz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     qx, qy, qz = ay * cz - az * cy, az * cx - ax * cz, ax * cy - ay * cx
