@@ -22,8 +22,8 @@ def merged(count, seen, seed=0, part=None, view=1, turns=None):
     into, times = np.empty(n, np.int32), np.empty(n, np.float32)
     kept, chosen = np.empty(n, np.int64), np.empty(n, np.int64)
     groups = merge_views(
-        np.arange(n), key, False, np.float64(1.0), f, np.int64(n), into, np.zeros(n, np.float32), kept, chosen, times,
-        turns.astype(np.uint8), np.int64(0), np.int64(0), np.int64(seed),
+        np.arange(n), key, np.full(n, 4), False, np.float64(1.0), f, np.int64(n), into, np.empty(n, np.float32), kept,
+        chosen, times, turns.astype(np.uint8), np.int64(0), np.int64(0), np.int64(seed),
     )  # fmt: skip
     return into, times, f, kept[:groups], chosen[:groups]
 

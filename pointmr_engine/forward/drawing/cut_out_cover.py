@@ -179,13 +179,12 @@ def move_to_samples(cut_outs, fragments, rows, opacity):
 
 
 @uncounted
-def narrow_looks(cut_outs, fragments, first, count, width, holed):
+def narrow_looks(cut_outs, fragments, first, count, width):
     """Shrink the footprints width (N,) float32 of fragments with holes, so that their colour is not mixed with a
-    hole's; holed (N,) bool: which they are."""
+    hole's."""
     for k in range(count):
         part, triangle = np.int64(fragments.part[first + k]), np.int64(fragments.triangle[first + k])
-        holed[k] = cut_out_of(cut_outs, part, triangle) >= 0
-        if holed[k]:
+        if cut_out_of(cut_outs, part, triangle) >= 0:
             width[k] *= NARROW
 
 

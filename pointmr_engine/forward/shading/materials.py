@@ -78,7 +78,7 @@ class FullShading:
             NO_EYES, n_, own.rays, own.hits, own.state.width,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
-            narrow_looks(hierarchy.cut_outs, f, first_, n_, own.state.width, np.empty(n, np.bool_))
+            narrow_looks(hierarchy.cut_outs, f, first_, n_, own.state.width)
         if values is not None:
             place_values(values, f, first_, n_, own.hits)
         frames(self.shader.geometry, own.rays, own.hits, own.frames, 0, n)

@@ -56,12 +56,12 @@ def copy_fragment(f: Fragments, g, k):
 
 
 @device
-def rank_of(f: Fragments, k, left, top, side):
-    """By which fragments of a cell, which begins at (left, top), represent others: large ones near its middle.
+def rank_of(f: Fragments, k, side):
+    """By which fragments of a cell of `side` subpixels represent others: large ones near its middle.
 
     What is read at the cell's edge makes fine textures noisy; of coarse meshes, the largest part says most of the rest.
     """
-    dx, dy = f.x[k] - left - 0.5 * side, f.y[k] - top - 0.5 * side
+    dx, dy = f.x[k] % side - 0.5 * side, f.y[k] % side - 0.5 * side
     return np.float32(-(dx * dx + dy * dy) / f.count[k] ** 2)
 
 
@@ -131,8 +131,7 @@ def merge_fragments(
     """Merge fragments 0..count of a tile in place; `ids` then holds the merged ones' numbers; returns how many.
 
     pixel: width of a pixel's footprint at depth 1 (perspective) or in metres; into (F,) int32, rank (F,) float32 to
-    work in.
-    Fragments must be numbered in the order in which the tile's pixels show them (fragments.find_fragments).
+    work in. Fragments must be numbered in the order in which the tile's pixels show them (fragments.find_fragments).
     """
     f, groups = fragments, np.int64(0)
     for k in range(count):
@@ -153,7 +152,7 @@ def merge_fragments(
                         if mergeable(f, g, k, footprint):
                             found = g
                             break
-                    own = rank_of(f, k, left, top, subpixels)
+                    own = rank_of(f, k, subpixels)
                     if found >= 0:
                         join(f, found, k, own > rank[found])
                         rank[found] = max(own, rank[found])

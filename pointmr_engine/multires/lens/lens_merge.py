@@ -12,7 +12,7 @@ import numpy as np
 from pointmr_engine.forward.drawing.draw import triangle_to_camera
 from pointmr_engine.forward.reconstruction.fragments import Fragments, place_seen
 from pointmr_engine.forward.reconstruction.pixel_filter import Slopes
-from pointmr_engine.multires.fragments.merge import copy_fragment, join, mergeable, unit_normal
+from pointmr_engine.multires.fragments.merge import copy_fragment, join, mergeable, rank_of, unit_normal
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 
@@ -38,15 +38,16 @@ def _is_chosen(turns, chosen, k, seen, own, key, left, low, seed):
 
 @uncounted
 def merge_views(
-    order, key, perspective, footprint, f: Fragments, count, into, rank, kept, chosen, times, turns, left, low, seed
+    order, key, cell, perspective, footprint, f: Fragments, count, into, rank, kept, chosen, times, turns, left, low,
+    seed,
 ):  # fmt: skip
     """Merge fragments 0..count that have the same key and continue each other's surface; returns how many are left.
 
-    order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share. There one
-    of them represents all, by chance, for what is sharp must not be asked in the same places always. The merged ones
-    take the places of their first ones, kept (N,) int64; into (N,) int32: the number of what each is part of; rank (N,)
-    float32: by which one represents the others, see merge.rank_of; chosen (N,) int64 to work in; times (N,) float32:
-    how often each counts. turns (N,) uint8: of deal_out; left, low: the tile's first cell of single views.
+    order (N,) int64: by key; key (N,) int64: cell, and from bit VIEW on the view where views do not share; cell (N,)
+    int64: subpixels per side of it. Where views do not share, one of them represents all, by chance, for what is sharp
+    must not be asked in the same places always. The merged ones take the places of their first ones, kept (N,) int64;
+    into (N,) int32: the number of what each is part of; rank (N,) float32 and chosen (N,) int64 to work in; times (N,)
+    float32: how often each counts. turns (N,) uint8: of deal_out; left, low: the tile's first cell of single views.
     """
     groups, first, last = np.int64(0), np.int64(0), np.int64(-1)
     for n in range(count):
@@ -66,8 +67,9 @@ def merge_views(
         if found >= 0:
             g = kept[found]
             if key[k] >> VIEW == 0:
-                join(f, g, k, rank[k] > rank[g])
-                rank[g] = max(rank[k], rank[g])
+                own = rank_of(f, k, cell[k])
+                join(f, g, k, own > rank[g])
+                rank[g] = max(own, rank[g])
             else:
                 own, seen = f.count[k], f.count[g] + f.count[k]
                 if _is_chosen(turns, chosen[found], k, seen, own, key[k], left, low, seed):
@@ -81,6 +83,7 @@ def merge_views(
             into[k] = found
         else:
             kept[groups] = chosen[groups] = k
+            rank[k] = rank_of(f, k, cell[k])
             into[k] = groups
             groups += 1
     for n in range(groups):

@@ -247,8 +247,6 @@ class LensTiles(TracedTiles):
         cell[alone] = single
         last = 1 << (ROW - 1)  # what lies far outside the tile is in the last cells
         i, j = (np.clip(a[:n] // cell, -last, last - 1).astype(np.int64) + last for a in (f.x, f.y))
-        square = sum((a[:n] % cell - 0.5 * cell) ** 2 for a in (f.x, f.y))
-        rank = (-square / f.count[:n] ** 2.0).astype(np.float32)
         view_of = np.where(alone, self.of_view[:n].astype(np.int64) + 1, 0)
         key = (view_of << VIEW) + (mixed.astype(np.int64) << MIXED) + (j << ROW) + i
         order = np.argsort(key, kind="stable")
@@ -256,8 +254,8 @@ class LensTiles(TracedTiles):
         self.own_ids[: self.height, : self.width] = self.target.ids[: self.height, : self.width]
         self.times = np.empty(n, np.float32)
         count = merge_views(
-            order, key, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, rank, self.kept,
-            np.empty(n, np.int64), self.times, self.turns, np.int64(self.left // single),
+            order, key, cell, view.perspective, np.float64(image.footprint), f, np.int64(n), self.into, self.rank,
+            self.kept, np.empty(n, np.int64), self.times, self.turns, np.int64(self.left // single),
             np.int64(self.low // single), np.int64(image.settings.seed),
         )  # fmt: skip
         self.key, self.whole = key[self.kept[:count]], None

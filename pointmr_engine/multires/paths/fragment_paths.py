@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.drawing.cut_out_cover import let_through, narrow_looks
+from pointmr_engine.forward.drawing.cut_out_cover import let_through, narrow_looks, with_holes
 from pointmr_engine.forward.drawing.cut_outs import look_where_opaque
 from pointmr_engine.forward.reconstruction.fragments import cell_at
 from pointmr_engine.forward.shading.fragment_surfaces import place_fragments, place_values, surfel_frames
@@ -243,7 +243,9 @@ class FragmentPaths(Workspace):
         self.holed[:count] = False
         space.widen_footprints(first, now.state.width[:count])
         if len(hierarchy.cut_outs.mask):
-            narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width, self.holed)
+            narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width)
+            rows = np.empty(count, np.int64)
+            self.holed[rows[: with_holes(hierarchy.cut_outs, f, first_, n_, rows)] - first] = True
         place_values(values, f, first_, n_, hits)
         frame = self.frames
         frames(self.stage.shader.geometry, now.rays, hits, frame, 0, count)
