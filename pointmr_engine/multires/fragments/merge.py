@@ -56,12 +56,13 @@ def copy_fragment(f: Fragments, g, k):
 
 
 @device
-def rank_of(f: Fragments, k, side):
-    """By which fragments of a cell of `side` subpixels represent others: large ones near its middle.
+def rank_of(f: Fragments, k, x, y):
+    """By which fragments of a cell represent others: large ones near its middle (x, y), in subpixels of the tile.
 
     What is read at the cell's edge makes fine textures noisy; of coarse meshes, the largest part says most of the rest.
+    Small triangles are one fragment, whose place may lie in the next cell.
     """
-    dx, dy = f.x[k] % side - 0.5 * side, f.y[k] % side - 0.5 * side
+    dx, dy = f.x[k] - x, f.y[k] - y
     return np.float32(-(dx * dx + dy * dy) / f.count[k] ** 2)
 
 
@@ -152,7 +153,7 @@ def merge_fragments(
                         if mergeable(f, g, k, footprint):
                             found = g
                             break
-                    own = rank_of(f, k, subpixels)
+                    own = rank_of(f, k, left + 0.5 * subpixels, top + 0.5 * subpixels)
                     if found >= 0:
                         join(f, found, k, own > rank[found])
                         rank[found] = max(own, rank[found])

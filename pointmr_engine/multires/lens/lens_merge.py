@@ -36,6 +36,12 @@ def _is_chosen(turns, chosen, k, seen, own, key, left, low, seed):
     return np.int64(h) * seen < np.int64(own) << 32
 
 
+@device
+def _rank_of(f, k, side):
+    """merge.rank_of in the cell of `side` subpixels that the fragment's place is in."""
+    return rank_of(f, k, (f.x[k] // side + 0.5) * side, (f.y[k] // side + 0.5) * side)
+
+
 @uncounted
 def merge_views(
     order, key, cell, perspective, footprint, f: Fragments, count, into, rank, kept, chosen, times, turns, left, low,
@@ -67,7 +73,7 @@ def merge_views(
         if found >= 0:
             g = kept[found]
             if key[k] >> VIEW == 0:
-                own = rank_of(f, k, cell[k])
+                own = _rank_of(f, k, cell[k])
                 join(f, g, k, own > rank[g])
                 rank[g] = max(own, rank[g])
             else:
@@ -83,7 +89,7 @@ def merge_views(
             into[k] = found
         else:
             kept[groups] = chosen[groups] = k
-            rank[k] = rank_of(f, k, cell[k])
+            rank[k] = _rank_of(f, k, cell[k])
             into[k] = groups
             groups += 1
     for n in range(groups):
