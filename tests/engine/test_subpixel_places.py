@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pointmr_engine.forward.drawing import surfel_lanes
 from pointmr_engine.forward.drawing.cut_out_cover import cover_cut_out
 from pointmr_engine.forward.drawing.subpixel_places import INNER, subpixel_places
 from pointmr_engine.forward.drawing.subpixels import allocate_target, clear, cover_ellipse, cover_triangle
@@ -30,6 +31,16 @@ def draw_cut_out(target, width, height, x, y, w, entry, opacity):
         target, width, height, True, (x[0], x[1], x[2]), (y[0], y[1], y[2]), (w[0], w[1], w[2]), entry, opacity,
         np.int64(0), np.int64(0),
     )  # fmt: skip
+
+
+@uncounted
+def place_triangles(corners, constants, lanes):
+    return surfel_lanes.corners_eight(
+        np.uint64(corners.ctypes.data),
+        np.int64(0),
+        np.uint64(constants.ctypes.data),
+        np.uint64(lanes.ctypes.data),
+    )
 
 
 @uncounted
@@ -193,3 +204,27 @@ def test_a_level_wire_thinner_than_a_subpixel_covers_what_it_covers(offset, thic
         draw_triangle(target, np.int64(SIDE), np.int64(SIDE), x[corners], y[corners], np.ones(3), np.int64(k))
     covered = (target.ids[:SIDE, :SIDE] >= 0).sum() / (SIDE * SIDE / 6)  # of a line of pixels
     assert covered == pytest.approx(thick / 8, abs=1.01 / 64)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.3, 2.0, 100.0]))
+def test_triangles_look_into_no_subpixel_outside_the_tile(seed, size):
+    """Also such as reach from beyond a side to between it and the outermost places: what is behind is not ours."""
+    rng = np.random.default_rng(seed)
+    width, height = 40, 24
+    constants = np.zeros(surfel_lanes.CONSTANTS, np.float32)
+    constants[[surfel_lanes.MATRIX + k for k in (0, 5, 10)]] = 1.0
+    constants[[surfel_lanes.FOCAL_X, surfel_lanes.FOCAL_Y, surfel_lanes.DEPTH_SHIFT]] = 1.0
+    constants[surfel_lanes.FAR] = 10.0
+    constants[[surfel_lanes.WIDTH_OF_TILE, surfel_lanes.HEIGHT_OF_TILE]] = width, height
+    sides = rng.choice([0.0, 0.5, 1.0], (8, 1, 2)) * (width, height)
+    corners = np.ones((8, 3, 3), np.float32)
+    corners[..., :2] = sides + rng.normal(0.0, 1.0, (8, 3, 2)) * size
+    lanes = np.zeros((surfel_lanes.LANE_ROWS, 8), np.float32)
+    mask = place_triangles(corners, constants, lanes)
+    drawn = (mask >> np.arange(8)) & 1 == 1
+    first, last, low, high = (
+        lanes[row, drawn]
+        for row in (surfel_lanes.LEFT, surfel_lanes.RIGHT, surfel_lanes.LOW, surfel_lanes.HIGH)
+    )
+    assert (first >= 0).all() and (first <= last).all() and (last < width).all()
+    assert (low >= 0).all() and (low <= high).all() and (high < height).all()

@@ -268,7 +268,10 @@ def corners_eight(typingctx, corners, first, constants, out):
                 (x0, INNER - 1.0, "ceil"), (x1, -INNER, "floor"), (y0, INNER - 1.0, "ceil"), (y1, -INNER, "floor"),
             )
         )  # fmt: skip
+        left, right = left.at_least(0.0), right.at_most(constant(WIDTH_OF_TILE) - 1.0)
+        low, high = low.at_least(0.0), high.at_most(constant(HEIGHT_OF_TILE) - 1.0)
         seen = builder.and_((right - left) > -0.5, (high - low) > -0.5)
+        # as bounds, the clamps let NaN pass
         seen = builder.and_(seen, builder.and_(x1 > 0.0, y1 > 0.0))
         seen = builder.and_(seen, builder.and_(x0 < constant(WIDTH_OF_TILE), y0 < constant(HEIGHT_OF_TILE)))
         for v in range(3):
@@ -277,10 +280,10 @@ def corners_eight(typingctx, corners, first, constants, out):
             t.store(ws[v], target, CORNER_W + v)
         t.store(ws[0].at_least(ws[1]).at_least(ws[2]), target, CORNER_FRONT)
         t.store((x1 - x0).at_least(y1 - y0), target, CORNER_SMALL)
-        t.store(left.at_least(0.0), target, LEFT)
-        t.store(right.at_most(constant(WIDTH_OF_TILE) - 1.0), target, RIGHT)
-        t.store(low.at_least(0.0), target, LOW)
-        t.store(high.at_most(constant(HEIGHT_OF_TILE) - 1.0), target, HIGH)
+        t.store(left, target, LEFT)
+        t.store(right, target, RIGHT)
+        t.store(low, target, LOW)
+        t.store(high, target, HIGH)
         drawn = t.bits(builder.and_(seen, front))
         crossing = t.bits(builder.and_(behind, builder.not_(front)))
         return builder.or_(drawn, builder.shl(crossing, ir.Constant(_i64, 8)))
