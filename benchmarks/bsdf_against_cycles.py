@@ -75,7 +75,7 @@ def _evaluate_all(lb, wi, wo, out):
     for i in range(len(out)):
         a = (wi[i, 0], wi[i, 1], wi[i, 2])
         b = (wo[i, 0], wo[i, 1], wo[i, 2])
-        d, g, t, pdf = lobes.evaluate(lb, i, a, b)
+        d, _, g, t, pdf = lobes.evaluate(lb, i, a, b)
         for c in range(3):
             out[i, c] = d[c] + g[c] + t[c]
         out[i, 3] = pdf

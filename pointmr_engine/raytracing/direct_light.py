@@ -30,8 +30,8 @@ class ShadowRays(NamedTuple):
 
     rays: Rays
     light: np.ndarray  # (N, 3) float64
-    matt: np.ndarray  # (N, 3) float64: what diffuse lobes have of it ...
-    glossy: np.ndarray  # (N, 3) float64: ... and those that reflect otherwise
+    matt: np.ndarray  # (N, 3) float64: what Lambertian and Oren-Nayar lobes have of it ...
+    glossy: np.ndarray  # (N, 3) float64: ... and glossy ones
     slot: np.ndarray  # (N,) int32
     whole: np.ndarray  # (N,) float64: the largest channel of what it would have added before it met a surface
     passed: np.ndarray  # (N,) int32: transparent surfaces so far
@@ -122,7 +122,7 @@ def connect(
             and dot(row3(lobes.geometric_normal, k), wo) < 0.0
         ):
             continue
-        diffuse, glossy, transmission, pdf = evaluate(lobes, k, (-d[0], -d[1], -d[2]), wo)
+        diffuse, matt, glossy, transmission, pdf = evaluate(lobes, k, (-d[0], -d[1], -d[2]), wo)
         seen = lights.visibility[i]
         f0, f1, f2 = 0.0, 0.0, 0.0
         if seen & DIFFUSE:
@@ -142,7 +142,7 @@ def connect(
         limit = limits.clamp_direct if paths.state.depth[k] == 0 else limits.clamp_indirect
         r, g, b = clamp_light(r, g, b, limit)
         out.light[n, 0], out.light[n, 1], out.light[n, 2] = r, g, b
-        _split(out.matt, n, (r, g, b), diffuse, (f0, f1, f2), seen & DIFFUSE)
+        _split(out.matt, n, (r, g, b), matt, (f0, f1, f2), seen & DIFFUSE)
         _split(out.glossy, n, (r, g, b), glossy, (f0, f1, f2), seen & GLOSSY)
         out.slot[n] = paths.slot[k]
         out.whole[n] = max(abs(r), abs(g), abs(b))

@@ -282,7 +282,7 @@ def value_of(lobes, i, j, wi, wo, sampled):
 @device
 def _sum(lobes, i, wi, wo, sampled):
     """`evaluate`, with the lobe that wo was sampled from (-1: none)."""
-    diffuse_sum = _BLACK
+    diffuse_sum = matt_sum = _BLACK
     glossy_sum = _BLACK
     transmission_sum = _BLACK
     pdf_sum = 0.0
@@ -296,21 +296,23 @@ def _sum(lobes, i, wi, wo, sampled):
         pdf_sum += pdf * sample_weight
         if lobes.kind[i, j] & KIND_MASK <= TRANSLUCENT:
             diffuse_sum = combine(1.0, diffuse_sum, 1.0, f)
+            if lobes.kind[i, j] & KIND_MASK <= OREN_NAYAR:
+                matt_sum = combine(1.0, matt_sum, 1.0, f)
         elif transmitted:
             transmission_sum = combine(1.0, transmission_sum, 1.0, f)
         else:
             glossy_sum = combine(1.0, glossy_sum, 1.0, f)
     pdf = pdf_sum / weight_sum if weight_sum > 0.0 else 0.0
-    return diffuse_sum, glossy_sum, transmission_sum, pdf
+    return diffuse_sum, matt_sum, glossy_sum, transmission_sum, pdf
 
 
 @uncounted
 def evaluate(lobes, i, wi, wo):
-    """All lobes of point i between two directions -> (diffuse rgb, glossy rgb, transmission rgb, pdf).
+    """All lobes of point i between two directions -> (diffuse rgb, matt rgb, glossy rgb, transmission rgb, pdf).
 
-    Each rgb is a tuple, BSDF * |cos|; their sum is the total. pdf is that of `sample`, per solid angle, with the
-    chance of choosing each lobe (transparency included). Translucent counts as diffuse. Singular lobes contribute
-    nothing.
+    Each rgb is a tuple, BSDF * |cos|; their sum, without matt, is the total. matt: the part of diffuse that Lambertian
+    and Oren-Nayar lobes have; sheen, velvet and translucent ones count as diffuse too. pdf is that of `sample`, per
+    solid angle, with the chance of choosing each lobe (transparency included). Singular lobes contribute nothing.
     """
     return _sum(lobes, i, wi, wo, np.int64(-1))
 
@@ -396,7 +398,7 @@ def sample(lobes, i, wi, u_choose, u1, u2):
             return wo, value, chance * sample_weight / total, label, 0.0, eta
     if (dot(ng, wo) < 0.0) != refracted:
         return wo, _BLACK, 0.0, LABEL_NONE, alpha, 1.0
-    d, g, t, pdf = _sum(lobes, i, wi, wo, chosen)
+    d, _, g, t, pdf = _sum(lobes, i, wi, wo, chosen)
     if not pdf > 0.0:
         return wo, _BLACK, 0.0, LABEL_NONE, alpha, 1.0
     value = (d[0] + g[0] + t[0], d[1] + g[1] + t[1], d[2] + g[2] + t[2])

@@ -115,7 +115,7 @@ def viewer(cosine: float, phi: float = 0.4) -> np.ndarray:
 def _evaluate(lb, i, wi, wo, out):
     for k in range(len(wo)):
         row = i if i >= 0 else k
-        d, g, t, pdf = lobes.evaluate(
+        d, _, g, t, pdf = lobes.evaluate(
             lb, row, (wi[row, 0], wi[row, 1], wi[row, 2]), (wo[k, 0], wo[k, 1], wo[k, 2])
         )
         for c in range(3):

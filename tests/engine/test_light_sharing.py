@@ -12,6 +12,7 @@ from pointmr_engine import (
     Material,
     RenderSettings,
     Scene,
+    World,
     emission,
     principled,
     render,
@@ -269,8 +270,9 @@ def lamps_over_a_floor(**floor) -> Scene:
     [
         ({"base_color": (0.6, 0.5, 0.4), "specular_ior_level": 0.0}, 2.0),
         ({"base_color": (0.9, 0.8, 0.6), "metallic": 1.0, "roughness": 0.6}, 3.0),
+        ({"base_color": (0.6, 0.5, 0.4), "specular_ior_level": 0.0, "sheen_weight": 0.5}, 2.0),
     ],
-    ids=["matt", "rough metal"],
+    ids=["matt", "rough metal", "cloth"],
 )
 def test_shared_light_of_lamps_is_as_bright_and_quieter(monkeypatch, floor, quieter):
     def images() -> np.ndarray:
@@ -288,6 +290,45 @@ def test_shared_light_of_lamps_is_as_bright_and_quieter(monkeypatch, floor, quie
     single = images()
     assert shared_.mean() == pytest.approx(single.mean(), rel=0.01)
     assert shared_.var(0).mean() * quieter < single.var(0).mean()
+
+
+def striped_cloth(width: float) -> Material:
+    """Stripes across x, light ones and black ones, under a sheen."""
+    nodes = {
+        "place": Node("geometry"),
+        "axes": Node("separate_xyz", {"vector": Link("place", "position")}),
+        "count": Node("math", {"value": Link("axes", "x"), "value_b": 2.0 * width}, {"operation": "DIVIDE"}),
+        "phase": Node("math", {"value": Link("count", "value")}, {"operation": "FRACT"}),
+        "light": Node("math", {"value": Link("phase", "value"), "value_b": 0.5}, {"operation": "GREATER_THAN"}),
+        "cloth": Node("principled", {
+            "base_color": Link("light", "value"), "specular_ior_level": 0.0, "sheen_weight": 0.6,
+        }),
+    }  # fmt: skip
+    return Material("cloth", Graph(nodes, surface=Link("cloth", "bsdf")))
+
+
+def light_from_above() -> World:
+    """White for directions within 37 degrees of z: of such light, a sheen reflects less than of all others."""
+    sky = half_a_sky()
+    sky.graph.nodes["half"] = Node(
+        "math", {"value": Link("axes", "z"), "value_b": 0.8}, {"operation": "GREATER_THAN"}
+    )
+    return sky
+
+
+def test_stripes_under_a_sheen_keep_their_contrast():
+    """Only what matt lobes reflect is shared: black ones show their sheen, and no light of their neighbours."""
+    pixel = 3.0 / 48 * 36 / 50
+    root = Group("root", [quad(6.0, material=striped_cloth(6 * pixel))])
+    scene = Scene(root, from_above(3.0), [], light_from_above())
+
+    def rows(**values) -> np.ndarray:
+        return render(scene, RenderSettings(48, 32, **values)).passes["combined"][4:-4, 4:-4, :3].mean((0, 2))
+
+    ours = np.mean([rows(method="raytrace", seed=s) for s in range(4)], 0)
+    exact = rows(method="distributed", samples=512)
+    assert exact.max() > 4.0 * exact.min() > 0.0
+    np.testing.assert_allclose(ours, exact, rtol=0.04, atol=0.001 * exact.max())
 
 
 def ridged(wave_number: float, height: float) -> Material:

@@ -222,7 +222,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                     scale = scale / (pdf * points) if pdf > 0.0 else 0.0
                 if not scale > 0.0:
                     continue
-                diffuse, glossy, transmission, _ = evaluate(lobes, np.int64(k), wi, (dx, dy, dz))
+                diffuse, _, glossy, transmission, _ = evaluate(lobes, np.int64(k), wi, (dx, dy, dz))
                 f0 = f1 = f2 = 0.0
                 if seen & DIFFUSE:
                     f0, f1, f2 = diffuse

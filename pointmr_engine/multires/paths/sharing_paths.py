@@ -136,6 +136,7 @@ class SharingPaths(EdgePaths):
         before = radiance[:n].copy()
         first_rays(subpixels, np.float64(self.space.image.cone**2), np.int64(n), asked)
         self.open_light[:n], self.measures = 0.0, True
+        self.shared_light.begin_world(n)
         self._look_at_world(now, lit, kept, asked[kept[0]])
         self.measures = False
         self.shared_light.count_rays(asked[:n], self.first)

@@ -75,7 +75,7 @@ def add_lobe(shares: Shares, row, passed, normal, rough):
 def begin_shares(lobes, throughput, position, first, count, shares):
     """Rows first..first + count of `shares`: what the points 0..count reflect diffusely, nothing received yet.
 
-    What reflects otherwise than plain diffuse surfaces, or lets light through, does not share.
+    Matt lobes share what they reflect, if they have one normal and nothing lets light through; others keep theirs.
     """
     for k in range(count):
         row = first + k
@@ -85,14 +85,14 @@ def begin_shares(lobes, throughput, position, first, count, shares):
         normal = np.int64(-1)
         for j in range(np.int64(lobes.count[k])):
             base = lobes.kind[k, j] & KIND_MASK
-            if base > TRANSLUCENT:
+            single = single and base != TRANSLUCENT
+            if base > OREN_NAYAR:
                 continue
             if normal < 0:
                 normal = np.int64(j)
             for c in range(3):
                 single = single and lobes.data[k, j, NORMAL + c] == lobes.data[k, normal, NORMAL + c]
                 shares.albedo[row, c] += throughput[k, c] * lobes.data[k, j, WEIGHT + c]
-            single = single and base <= OREN_NAYAR
         for c in range(3):
             if normal >= 0:
                 shares.normal[row, c] = lobes.data[k, normal, NORMAL + c]
@@ -157,10 +157,21 @@ def take_reflected(light, part, source, triangle, count, first, shares):
 
 
 @uncounted
+def keep_own(light, matt, glossy, source, triangle, count, own):
+    """Add to own (N, 3) float64, by source, what rays 0..count bring to lobes that do not share."""
+    for i in range(count):
+        if triangle[i] == -1:
+            k = np.int64(source[i])
+            for c in range(3):
+                own[k, c] += light[i, c] - matt[i, c] - glossy[i, c]
+
+
+@uncounted
 def take_turns(light, direction, source, triangle, count, first, shares):
     """Add how what rays 0..count bring to fragments first + source that share changes with their normals.
 
-    A ray's light is proportional to the cosine between its direction (N, 3) and the normal, however it was drawn.
+    light (N, 3): what matt lobes have of a ray, proportional to the cosine between its direction (N, 3) and the normal,
+    however it was drawn.
     """
     for i in range(count):
         row = first + np.int64(source[i])
@@ -182,11 +193,15 @@ def has_to_share(shares: Shares, k):
 
 
 @uncounted
-def take_light(radiance, before, first, count, shares):
-    """Move what radiance (N, 3) has gained since `before` to the fragments first..first + count that share."""
+def take_light(radiance, before, own, first, count, shares):
+    """Move what radiance (N, 3) has gained since `before` to the fragments first..first + count that share, but `own`.
+
+    before, own (N, 3) float64: see keep_own.
+    """
     for k in range(count):
         row = first + k
         if has_to_share(shares, row):
             for c in range(3):
-                shares.light[row, c] += radiance[k, c] - before[k, c]
-                radiance[k, c] = before[k, c]
+                kept = before[k, c] + own[k, c]
+                shares.light[row, c] += radiance[k, c] - kept
+                radiance[k, c] = kept

@@ -14,6 +14,7 @@ from pointmr_engine.multires.sharing.light_shares import (
     count_blocked,
     count_lobe_rays,
     count_near,
+    keep_own,
     take_light,
     take_reflected,
     take_turns,
@@ -39,6 +40,7 @@ class SharedLight:
         self.room = room
         self.world = self.lamps = self.lobes = allocate_shares(0)
         self.lobe_rays, self.lobe_near = np.zeros((2, room if self.has_lobes else 0), np.float32)
+        self.own = np.zeros((room if self.has_world else 0, 3))  # of the world's light, what is not shared
         self.lamp_width = np.ones(room)
         self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(room, np.float32)
         self.mis = light.lights.arrays.lamps.mis
@@ -89,18 +91,24 @@ class SharedLight:
     def take_world(self, radiance, before, rays: np.ndarray, first: int) -> None:
         """What a batch's radiance has gained since `before` is shared; rays (n,): how many brought it."""
         self.count_rays(rays, first)
-        take_light(radiance, before, np.int64(first), np.int64(len(rays)), self.world)
+        take_light(radiance, before, self.own, np.int64(first), np.int64(len(rays)), self.world)
+
+    def begin_world(self, n: int) -> None:
+        """A batch's n fragments are about to ask the world."""
+        self.own[:n] = 0.0
 
     def take_turns(self, shadows, hits, count: int, first: int) -> None:
-        """Note how what rays 0..count to the world bring changes as surfaces turn."""
+        """Note how what rays 0..count to the world bring changes as surfaces turn, and what of it is not shared."""
+        n = np.int64(count)
+        keep_own(shadows.light, shadows.matt, shadows.glossy, shadows.source, hits.triangle, n, self.own)
         take_turns(
-            shadows.light, shadows.rays.direction, shadows.source, hits.triangle, np.int64(count), np.int64(first),
-            self.world,
+            shadows.matt, shadows.rays.direction, shadows.source, hits.triangle, n, np.int64(first), self.world,
         )  # fmt: skip
 
     def scale_turns(self, part: np.ndarray, first: int) -> None:
-        """Scale what is known of turns of a batch's fragments by part (n,): more rays than planned will bring it."""
+        """Scale what take_turns has noted of a batch's fragments by part (n,): more rays than planned will bring it."""
         self.world.turned[first : first + len(part)] *= part[:, None].astype(np.float32)
+        self.own[: len(part)] *= part[:, None]
 
     def take_lamps(self, shadows, hits, count: int, first: int, counts: bool) -> None:
         """What shadow rays 0..count bring that nothing stops is shared; `counts`: these rays begin."""
