@@ -170,6 +170,7 @@ class Program:
         normal_needs, image_reads, image_needs: the same for `normal_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
+    masked: colours of its images count by their alpha, so that holes in them have none.
     opaque: light never passes straight through; emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never
         emits, None where emission varies.
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
@@ -222,6 +223,7 @@ class Program:
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
         self.surface_only: bool = self.varying_with <= {"surface"}
         self.opaque: bool = not transparency
+        self.masked: bool = _masked(self._plan.steps)
         self.emissive: bool = bool(emission)
         self.constant_emission: tuple[float, float, float] | None = None
         if all(isinstance(s, Constant) for s in emission):
@@ -381,3 +383,12 @@ def evaluate_background(
         elif group == "instance_attribute":
             points.instance_attributes[name] = np.zeros((n, 4), np.float32)
     return program.emission(points)
+
+
+def _masked(steps) -> bool:
+    """Program.masked, of the steps of its Plan."""
+    return all(
+        params.get("unassociate", True) and params.get("texture") is not None and params["texture"].associated
+        for params, wanted in ((s.params, w) for _, s, w in steps if s.type.kind == "image_texture")
+        if "color" in wanted
+    )

@@ -5,7 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, principled, render, uniform_world
+from pointmr_engine import (
+    Group,
+    Light,
+    Material,
+    Mesh,
+    RenderSettings,
+    Scene,
+    principled,
+    render,
+    uniform_world,
+)
 from pointmr_engine.forward.drawing.cut_out_cover import OPAQUE, _most_opaque, _nearest_as_opaque
 from pointmr_engine.forward.drawing.cut_outs import FINEST, build_cut_outs
 from pointmr_engine.hierarchy.geometry import compile_geometry
@@ -13,8 +23,9 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.mesh import Attribute
 from pointmr_engine.scene.settings import RaytraceSettings
 from pointmr_engine.scene.texture import Image
+from pointmr_engine.shading import program
 from pointmr_engine.shading.program import compile_graph
-from tests.engine.small_scenes import from_above, quad
+from tests.engine.small_scenes import at, from_above, quad
 
 BLACK = uniform_world((0.0, 0.0, 0.0))
 
@@ -209,6 +220,58 @@ def test_surfaces_with_fine_holes_are_shaded_where_they_are_opaque(method, colou
     material = striped(colour)
     exact = seen(material, "distributed", 64)
     np.testing.assert_allclose(seen(material, method, 1), exact, rtol=0.06)
+
+
+@pytest.mark.parametrize("glow", [False, True])
+def test_colours_are_averaged_over_what_is_opaque(monkeypatch, glow):
+    """Texels of all colours, a few in a pixel, and holes between them: nearer than what one texel tells."""
+    n = 512
+    picture = np.zeros((n, n, 4), np.float32)
+    picture[..., :3] = np.random.default_rng(5).choice([0.05, 0.3, 0.9], (n, n, 1))
+    picture[..., 3] = np.arange(n) // 4 % 3 != 0
+    material = striped(Link("image", "color"))
+    material.graph.nodes["image"].params["image"] = Image("speckles", picture, "Linear")
+    if not glow:
+        material.graph.nodes["glow"] = Node("diffuse", {"color": Link("image", "color")})
+        material.graph.nodes["mix"].inputs["shader_b"] = Link("glow", "bsdf")
+    world = BLACK if glow else uniform_world((1.0, 1.0, 1.0))
+    scene = Scene(Group("root", [leaves(8, material)]), from_above(9.0), [], world)
+
+    def picture_of(**values) -> np.ndarray:
+        return render(scene, RenderSettings(64, 48, **values)).passes["combined"][..., :3]
+
+    exact = picture_of(method="distributed", samples=256)
+    errors = []
+    for averaged in (True, False):
+        if not averaged:
+            monkeypatch.setattr(program, "_masked", lambda *_: False)
+        ours = picture_of(method="raytrace")
+        assert ours.mean() == pytest.approx(exact.mean(), rel=0.03)
+        errors.append(np.square(ours - exact).mean())
+    assert errors[0] < 0.5 * errors[1]
+
+
+@pytest.mark.parametrize("kind", ["emission", "diffuse"])
+def test_what_is_added_to_holes_does_not_fade_with_them(kind):
+    """Coverage knows where the holes are; the rest shines for them, too."""
+    material = striped((0.3, 0.3, 0.3))
+    nodes = material.graph.nodes
+    nodes["holes"] = Node(
+        "math", {"value": 1.0, "value_b": Link("image", "alpha")}, {"operation": "SUBTRACT"}
+    )
+    nodes["clear"] = Node("transparent", {"color": Link("holes", "value")})
+    nodes["glow"] = Node(kind, {"color": (0.3, 0.3, 0.3)})
+    added = Link("glow", "emission" if kind == "emission" else "bsdf")
+    nodes["mix"] = Node("add_shader", {"shader": Link("clear", "bsdf"), "shader_b": added})
+    sun = [] if kind == "emission" else [Light("SUN", at(0.0, 0.0, 5.0), power=3.0, angle=0.0)]
+    scene = Scene(Group("root", [leaves(1, material)]), from_above(9.0), sun, BLACK)
+
+    def brightness(**values) -> float:
+        return render(scene, RenderSettings(64, 48, **values)).passes["combined"][..., :3].mean()
+
+    exact = brightness(method="distributed", samples=64)
+    assert exact > 0.0
+    assert brightness(method="raytrace") == pytest.approx(exact, rel=0.05)
 
 
 @pytest.mark.parametrize("film_transparent", [False, True])

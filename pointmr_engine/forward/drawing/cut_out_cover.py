@@ -14,7 +14,6 @@ from pointmr_engine.numerics.jit import device, uncounted
 OPAQUE = 192  # of 255: from here on a sample counts as opaque
 SURE = 0.75  # of a cell's opacity: a place in it that is less opaque lies in a hole between the samples
 EDGE = 1e-12  # barycentric: what is so near an edge belongs to the triangles on both sides
-NARROW = np.float32(0.05)  # of a pixel: footprints of looks at triangles with holes
 
 
 @device
@@ -176,16 +175,6 @@ def move_to_samples(cut_outs, fragments, rows, opacity):
         if opacity[n] * 255.0 < SURE * opacity_at(cut_outs, mask, u, v):
             p, q = cell_of(u, v, side)
             fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
-
-
-@uncounted
-def narrow_looks(cut_outs, fragments, first, count, width):
-    """Shrink the footprints width (N,) float32 of fragments with holes, so that their colour is not mixed with a
-    hole's."""
-    for k in range(count):
-        part, triangle = np.int64(fragments.part[first + k]), np.int64(fragments.triangle[first + k])
-        if cut_out_of(cut_outs, part, triangle) >= 0:
-            width[k] *= NARROW
 
 
 @uncounted

@@ -25,6 +25,7 @@ from pointmr_engine.raytracing.surface import points_at
 
 SAMPLES = 32_000_000  # at most, over all triangles that differ
 FINEST = 128  # samples along a triangle's edge at most
+NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose holes have a colour of their own
 FIRST = 24  # so many tell which triangles are the same all over: these share one row
 
 
@@ -148,9 +149,11 @@ def part_transparency(
 
 def look_where_opaque(
     geometry: Geometry, programs: list, cut_outs: CutOuts, densest: bool, fragments, first: int, count: int
-) -> None:
-    """Move the places at which fragments first..first + count are shaded out of holes. fragments: Fragments; changes
-    `place`. densest: the cut-outs are those of the channel that is blocked most.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move the places at which fragments first..first + count are shaded out of holes; which have some (n,) int64, and
+    the materials of these (n,) int32.
+
+    fragments: Fragments; changes `place`. densest: the cut-outs are those of the channel that is blocked most.
 
     What is visible of a fragment is opaque; a hole's colour is anybody's guess. Cells of the cut-outs that are opaque
     at their samples may have holes elsewhere: who is found in one goes to the cell's sample.
@@ -170,6 +173,7 @@ def look_where_opaque(
         clear = part_transparency(geometry, program, part[own], triangle[own], u, v)
         opacity = 1.0 - np.clip(clear.min(1) if densest else clear.mean(1), 0.0, 1.0)
         move_to_samples(cut_outs, fragments, rows[own], opacity)
+    return rows, material
 
 
 @device

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.drawing.cut_out_cover import narrow_looks
-from pointmr_engine.forward.drawing.cut_outs import look_where_opaque
+from pointmr_engine.forward.drawing.cut_outs import NARROW, look_where_opaque
 from pointmr_engine.forward.shading.fragment_surfaces import (
     NO_EYES,
     place_fragments,
@@ -69,7 +68,7 @@ class FullShading:
         first_, n_ = np.int64(first), np.int64(n)
         if len(hierarchy.cut_outs.mask):
             sampler = image.sampler
-            look_where_opaque(
+            holed, _ = look_where_opaque(
                 sampler.geometry, sampler.programs, hierarchy.cut_outs, image.coloured, f, first, n
             )
         to_world = image.camera.world_from_camera
@@ -78,7 +77,7 @@ class FullShading:
             NO_EYES, n_, own.rays, own.hits, own.state.width,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
-            narrow_looks(hierarchy.cut_outs, f, first_, n_, own.state.width)
+            own.state.width[holed - first] *= NARROW
         if values is not None:
             place_values(values, f, first_, n_, own.hits)
         frames(self.shader.geometry, own.rays, own.hits, own.frames, 0, n)

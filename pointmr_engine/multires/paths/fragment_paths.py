@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.drawing.cut_out_cover import let_through, narrow_looks, with_holes
-from pointmr_engine.forward.drawing.cut_outs import look_where_opaque
+from pointmr_engine.forward.drawing.cut_out_cover import let_through
+from pointmr_engine.forward.drawing.cut_outs import NARROW, look_where_opaque
 from pointmr_engine.forward.reconstruction.fragments import cell_at
 from pointmr_engine.forward.shading.fragment_surfaces import place_fragments, place_values, surfel_frames
 from pointmr_engine.forward.shading.lobe_light import widen_by_normals
@@ -19,6 +19,7 @@ from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.fragments.curvature import go_to_middles, spread_of_curvature
 from pointmr_engine.multires.fragments.looks import aim_at_points
 from pointmr_engine.multires.fragments.texture_slopes import slopes_in_image
+from pointmr_engine.multires.fragments.transparency import UNKNOWN, close_transparency
 from pointmr_engine.multires.paths.path_pool import PathPool
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
@@ -28,8 +29,6 @@ from pointmr_engine.raytracing.integrator import Stage, Workspace
 from pointmr_engine.raytracing.rays import Rays, allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
-from pointmr_engine.shading.bsdf.layout import SAMPLE, WEIGHT
-from pointmr_engine.shading.bsdf.vector import combine, load3, mean
 from pointmr_engine.shading.footprint_slopes import allocate_texture_slopes
 
 # fragments at once: of fewer, the tails of paths and shadow rays cost more than what they shade
@@ -42,8 +41,6 @@ PARTS = 2  # of the room for paths: so many may become of one, what its cone see
 FEW, MANY = 1024, 4096  # paths that wait for those of other batches, and those that do not wait any longer
 FLATNESS = 0.95  # of a piece, below which it is a clump that has no normal of its own
 VEIL_CHANCES = 0x5EE  # first dimension set of the looks' numbers
-TINGE = 0.02  # of light in a channel: what coloured transparency lets through, below which it is not followed
-ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, has had its transparency added
 VEILS = 8  # transparent surfaces that a look at a clump passes at most
 
 
@@ -123,47 +120,6 @@ def start_rays(rays, hits, frame, count):
         rays.skip_path[k] = 0
 
 
-@device
-def _share_sent(lobes, k, j):
-    """What lobe j of point k sends on of its weight: that of a clear coat is one, and it reflects a few per cent."""
-    weight = mean(load3(lobes.data, k, j, WEIGHT))
-    return min(np.float64(lobes.data[k, j, SAMPLE]) / weight, 1.0) if weight > 0.0 else 0.0
-
-
-@uncounted
-def close_transparency(lobes, throughput, coloured, passed, count):
-    """Take the transparency of points 0..count out, as far as coverage accounts for it, and scale up what is left.
-
-    coloured (N,) bool: covered by what the densest channel blocks; what the others let through besides stays. Elsewhere
-    coverage is by mean opacity, and nothing stays. passed (N,) float32: the share that coverage lets through there. Of
-    lobes that were added to what passes (Add Shader), no more is taken: they do not fade with what they hide, and a
-    surface that lets nearly all through would shine.
-    """
-    for k in range(count):
-        average, least = 0.0, 1.0
-        for c in range(3):
-            clear = min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0)
-            average += clear / 3.0
-            least = min(least, clear)
-        sent = (0.0, 0.0, 0.0)
-        for j in range(np.int64(lobes.count[k])):
-            weight = load3(lobes.data, np.int64(k), np.int64(j), WEIGHT)
-            sent = combine(1.0, sent, _share_sent(lobes, np.int64(k), np.int64(j)), weight)
-        most = max(sent[0], sent[1], sent[2])
-        taken = min(least if coloured[k] else average, 0.999)
-        if most > ADDED * (1.0 - taken):
-            taken = min(taken, np.float64(passed[k]))
-        scale = 1.0 / (1.0 - taken)
-        for c in range(3):
-            left = 0.0
-            if coloured[k]:
-                # what the lobes' scale takes is given back to what passes
-                clear = np.float64(lobes.transparency[k, c])
-                left = min(max(clear - taken, 0.0), max(clear, 1.0) * (1.0 - taken))
-            lobes.transparency[k, c] = left if left > TINGE else 0.0
-            throughput[k, c] *= scale
-
-
 @uncounted
 def fill_chances(tables, seed, number, slot, step, out):
     """out (N,) float64: a number in 0..1 for the samples `slot` (N,), others for each step."""
@@ -181,7 +137,9 @@ class FragmentPaths(Workspace):
         self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
         self.pixel, self.in_pixel = np.empty(n, np.int64), np.empty((0, 0), np.int32)
         self.coloured, self.let_pass = np.zeros(n, np.bool_), np.zeros(n, np.float32)
+        self.clear = np.full((n, 3), UNKNOWN, np.float32)
         self.holed, self.place = np.zeros(n, np.bool_), np.empty((n, 2), np.float32)
+        self.masked = np.zeros(0, np.int64)  # of those with holes, whose holes have no colour: Program.masked
         self.hit = None  # rows and places of hits, while their textures are read elsewhere
         self.own_slopes = allocate_texture_slopes(n)
         self.alpha = np.empty((n, max(stage.needs.max_lobes, 1), 2), np.float32)
@@ -231,9 +189,10 @@ class FragmentPaths(Workspace):
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
             sampler = image.sampler
-            look_where_opaque(
+            holes, material = look_where_opaque(
                 sampler.geometry, sampler.programs, hierarchy.cut_outs, image.coloured, f, first, count
             )
+            holes -= first
             let_through(hierarchy.cut_outs, f, first_, n_, self.let_pass)
         to_world = image.camera.world_from_camera
         place_fragments(
@@ -243,9 +202,10 @@ class FragmentPaths(Workspace):
         self.holed[:count] = False
         space.widen_footprints(first, now.state.width[:count])
         if len(hierarchy.cut_outs.mask):
-            narrow_looks(hierarchy.cut_outs, f, first_, n_, now.state.width)
-            rows = np.empty(count, np.int64)
-            self.holed[rows[: with_holes(hierarchy.cut_outs, f, first_, n_, rows)] - first] = True
+            masked = np.array([m.masked for m in image.sampler.programs])[material]
+            now.state.width[holes[~masked]] *= NARROW
+            self.holed[holes] = True
+            self.masked = holes[masked]
         place_values(values, f, first_, n_, hits)
         frame = self.frames
         frames(self.stage.shader.geometry, now.rays, hits, frame, 0, count)
@@ -287,6 +247,11 @@ class FragmentPaths(Workspace):
         self.first, self.count = first, count
         self.hit = triangles, hits.u[triangles], hits.v[triangles]
         hits.u[triangles], hits.v[triangles] = self.place[triangles].T
+        self.clear[:count] = UNKNOWN
+        if len(hierarchy.cut_outs.mask):
+            self.clear[self.masked] = self.stage.shader.transparency_at(
+                now.rays, now.state, hits, frame, self.masked
+            )
         n = self.meet(self.tile, now, then, count, 0)
         if space.textures is not None:
             slopes_in_image(
@@ -410,5 +375,10 @@ class FragmentPaths(Workspace):
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:
             triangles, self.hits.u[triangles], self.hits.v[triangles] = self.hit
+            # what their rays meet is not averaged besides
+            now.state.width[self.masked] *= NARROW
+            now.state.spread[self.masked] *= NARROW
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
-            close_transparency(self.lobes, now.throughput, self.coloured, self.let_pass, np.int64(n))
+            close_transparency(
+                self.lobes, now.throughput, self.coloured, self.let_pass, self.clear, np.int64(n)
+            )
