@@ -63,6 +63,7 @@ class TracedImage(Image):
         self.cone = self.subpixels // side  # subpixels per side of a cone
         self.footprint = self.pixel / side * CELL / SUBPIXELS  # of the parts of cones that are shaded
         self.hardly = 0.0
+        self.masked = np.array([p.masked for p in sampler.programs], np.bool_)  # Program.masked, by material
         # of materials, and of none
         self.shining = stage.lights.shining(len(sampler.geometry.materials) + 1)
         self.tile = max(WIDTH // side - 2 * self.apron, 2)

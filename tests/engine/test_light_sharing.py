@@ -33,6 +33,7 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import at, from_above, half_a_sky, quad
 
 SUBPIXELS = 8
+PIXEL = 3.0 / 48 * 36 / 50  # metres, of images of 48 x 32 by a camera 3 m above
 
 
 def shares_of(side, rng, spacing=0.1):
@@ -318,8 +319,7 @@ def light_from_above() -> World:
 
 def test_stripes_under_a_sheen_keep_their_contrast():
     """Only what matt lobes reflect is shared: black ones show their sheen, and no light of their neighbours."""
-    pixel = 3.0 / 48 * 36 / 50
-    root = Group("root", [quad(6.0, material=striped_cloth(6 * pixel))])
+    root = Group("root", [quad(6.0, material=striped_cloth(6 * PIXEL))])
     scene = Scene(root, from_above(3.0), [], light_from_above())
 
     def rows(**values) -> np.ndarray:
@@ -356,8 +356,7 @@ def four_lamps() -> list[Light]:
 )
 def test_bumps_keep_their_contrast(lamps, world):
     """What arrives at one side of a ridge is not what arrives at the other."""
-    pixel = 3.0 / 48 * 36 / 50
-    k = 2 * np.pi / (6 * pixel)
+    k = 2 * np.pi / (6 * PIXEL)
     scene = Scene(Group("root", [quad(6.0, material=ridged(k, 0.4 / k))]), from_above(3.0), lamps, world)
 
     def contrast(**values) -> float:

@@ -150,8 +150,8 @@ def part_transparency(
 def look_where_opaque(
     geometry: Geometry, programs: list, cut_outs: CutOuts, densest: bool, fragments, first: int, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the places at which fragments first..first + count are shaded out of holes; which have some (n,) int64, and
-    the materials of these (n,) int32.
+    """Move the places at which fragments first..first + count are shaded out of holes; which have some (n,) int64,
+    counted from `first`, and the materials of these (n,) int32.
 
     fragments: Fragments; changes `place`. densest: the cut-outs are those of the channel that is blocked most.
 
@@ -173,7 +173,7 @@ def look_where_opaque(
         clear = part_transparency(geometry, program, part[own], triangle[own], u, v)
         opacity = 1.0 - np.clip(clear.min(1) if densest else clear.mean(1), 0.0, 1.0)
         move_to_samples(cut_outs, fragments, rows[own], opacity)
-    return rows, material
+    return rows - first, material
 
 
 @device

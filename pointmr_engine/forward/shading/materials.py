@@ -77,7 +77,7 @@ class FullShading:
             NO_EYES, n_, own.rays, own.hits, own.state.width,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
-            own.state.width[holed - first] *= NARROW
+            own.state.width[holed] *= NARROW
         if values is not None:
             place_values(values, f, first_, n_, own.hits)
         frames(self.shader.geometry, own.rays, own.hits, own.frames, 0, n)

@@ -192,7 +192,6 @@ class FragmentPaths(Workspace):
             holes, material = look_where_opaque(
                 sampler.geometry, sampler.programs, hierarchy.cut_outs, image.coloured, f, first, count
             )
-            holes -= first
             let_through(hierarchy.cut_outs, f, first_, n_, self.let_pass)
         to_world = image.camera.world_from_camera
         place_fragments(
@@ -202,7 +201,7 @@ class FragmentPaths(Workspace):
         self.holed[:count] = False
         space.widen_footprints(first, now.state.width[:count])
         if len(hierarchy.cut_outs.mask):
-            masked = np.array([m.masked for m in image.sampler.programs])[material]
+            masked = image.masked[material]
             now.state.width[holes[~masked]] *= NARROW
             self.holed[holes] = True
             self.masked = holes[masked]
@@ -248,10 +247,9 @@ class FragmentPaths(Workspace):
         self.hit = triangles, hits.u[triangles], hits.v[triangles]
         hits.u[triangles], hits.v[triangles] = self.place[triangles].T
         self.clear[:count] = UNKNOWN
-        if len(hierarchy.cut_outs.mask):
-            self.clear[self.masked] = self.stage.shader.transparency_at(
-                now.rays, now.state, hits, frame, self.masked
-            )
+        self.clear[self.masked] = self.stage.shader.transparency_at(
+            now.rays, now.state, hits, frame, self.masked
+        )
         n = self.meet(self.tile, now, then, count, 0)
         if space.textures is not None:
             slopes_in_image(

@@ -145,7 +145,7 @@ class SharingPaths(EdgePaths):
         self._ask_as_worth(arrived, before.sum(1))
         part = done / asked[:n]
         radiance[:n] = before + (radiance[:n] - before) * part[:, None]
-        self.shared_light.scale_turns(part, self.first)
+        self.shared_light.scale_world(part, self.first)
         self._look_at_world(now, lit, kept, asked[kept[0]] - done[kept[0]])
         self.shared_light.take_world(radiance, before, asked[:n], self.first)
 
@@ -170,7 +170,7 @@ class SharingPaths(EdgePaths):
         if self.asks == WORLD:
             if self.begins:
                 shared.count_world_rays(rays, met, count, self.first)
-            shared.take_turns(rays, met, count, self.first)
+            shared.note_world(rays, met, count, self.first)
         elif self.asks == LAMP:
             shared.take_lamps(rays, met, count, self.first, self.begins)
         self.begins = False  # those that pass a surface have been counted

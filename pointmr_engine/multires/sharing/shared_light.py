@@ -97,7 +97,7 @@ class SharedLight:
         """A batch's n fragments are about to ask the world."""
         self.own[:n] = 0.0
 
-    def take_turns(self, shadows, hits, count: int, first: int) -> None:
+    def note_world(self, shadows, hits, count: int, first: int) -> None:
         """Note how what rays 0..count to the world bring changes as surfaces turn, and what of it is not shared."""
         n = np.int64(count)
         keep_own(shadows.light, shadows.matt, shadows.glossy, shadows.source, hits.triangle, n, self.own)
@@ -105,8 +105,8 @@ class SharedLight:
             shadows.matt, shadows.rays.direction, shadows.source, hits.triangle, n, np.int64(first), self.world,
         )  # fmt: skip
 
-    def scale_turns(self, part: np.ndarray, first: int) -> None:
-        """Scale what take_turns has noted of a batch's fragments by part (n,): more rays than planned will bring it."""
+    def scale_world(self, part: np.ndarray, first: int) -> None:
+        """Scale what note_world has noted of a batch's fragments by part (n,): more rays than planned will bring it."""
         self.world.turned[first : first + len(part)] *= part[:, None].astype(np.float32)
         self.own[: len(part)] *= part[:, None]
 
