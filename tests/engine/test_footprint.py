@@ -78,13 +78,6 @@ def test_mirrors_and_refractions_at_curved_surfaces(seed, eta):
     np.testing.assert_allclose(np.reshape(got_slope, (2, 2)), expected[2:], atol=2e-4)
 
 
-def test_curvature_of_two_directions():
-    c, s = np.cos(0.3), np.sin(0.3)
-    turn = np.array([[c, -s], [s, c]])
-    pp, ps, ss = footprint.curvature(2.0, -0.5, c, s)
-    np.testing.assert_allclose([[pp, ps], [ps, ss]], turn @ np.diag([2.0, -0.5]) @ turn.T)
-
-
 @settings(max_examples=25)
 @given(seeds)
 def test_roughness_adds_variances_and_keeps_what_is_smooth(seed):
@@ -111,11 +104,3 @@ def test_cones_have_the_footprints_variances(seed, distance):
         at_end @ at_end.T, np.diag((start + distance * spread) ** 2), atol=1e-8 * distance**2
     )
     np.testing.assert_allclose(np.diag(at_start @ at_start.T), start**2, atol=1e-9)
-
-
-def test_a_lens_focuses():
-    place, slope = (0.1, 0.0, 0.0, 0.1), (0.001, 0.0, 0.0, 0.001)
-    slope = footprint.focused(place, slope, 4.0)
-    np.testing.assert_allclose(footprint.travel(place, slope, 4.0), (0.004, 0, 0, 0.004), atol=1e-15)
-    c, s, start, _, spread, _ = footprint.as_cone(place, slope, 8.0)
-    assert abs(start + 8.0 * spread) > 0.09 and start + 8.0 * spread < 0.0

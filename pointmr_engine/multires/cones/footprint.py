@@ -1,4 +1,4 @@
-"""Footprints of cones on their way: through free flight, at mirrors and lenses, at curved and rough surfaces.
+"""Footprints of cones on their way: through free flight, at mirrors and refraction, at curved and rough surfaces.
 
 A footprint is two linear maps from (u, v) in [-1, 1]^2, as tuples of four numbers, row by row: `place`, to the lateral
 position in metres across the axis, and `slope`, to the change of direction. At surfaces the first lateral axis lies in
@@ -33,12 +33,6 @@ def travel(place, slope, distance):
 def turned(m, c, s):
     """The same map with its lateral axes turned by an angle of cosine c and sine s."""
     return c * m[0] + s * m[2], c * m[1] + s * m[3], c * m[2] - s * m[0], c * m[3] - s * m[1]
-
-
-@uncounted
-def curvature(k1, k2, c, s):
-    """The operator of two curvatures at right angles; the first one's direction is (c, s) along (p, s)."""
-    return k1 * c * c + k2 * s * s, (k1 - k2) * c * s, k1 * s * s + k2 * c * c
 
 
 @uncounted
@@ -87,23 +81,6 @@ def refracted(place, slope, cos_i, eta, k):
             eta * slope[3] + bend * n[3],
         ),
     )
-
-
-@uncounted
-def focused(place, slope, distance):
-    """Slope of a cone that begins with `place` on a lens, in focus at a distance; slope: that of a pinhole."""
-    return (
-        slope[0] - place[0] / distance,
-        slope[1] - place[1] / distance,
-        slope[2] - place[2] / distance,
-        slope[3] - place[3] / distance,
-    )
-
-
-@uncounted
-def half_width(variance):
-    """Half-width of the even distribution of a variance."""
-    return math.sqrt(3.0 * variance)
 
 
 @uncounted

@@ -14,6 +14,7 @@ from pointmr_engine.forward.baked.triangle_normals import interpolated_normal
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import pointer_f32, pointer_i32
 from pointmr_engine.numerics.transforms import cofactors
+from pointmr_engine.shading.bsdf.vector import cross, dot, normalized, row3
 
 # barycentric coordinates: how far outside a triangle its normals go on, and its textures, whose values at corners may
 # be anything
@@ -21,37 +22,92 @@ BEYOND, BEYOND_OF_TEXTURES = 3.0, 0.5
 ALIKE = 0.9  # least cosine between the normal at a fragment's middle and that of its hit
 RIM = 0.45  # cosine to the viewer below which the hit's normal stays: wide lobes that graze lose light
 FLATTEST = 1e-5  # variance of slopes below which a footprint counts as flat
+SLIVER = 2.0  # squared change of normals per metre at most, against that along the edges
 
 
 @device
-def _bend(tables, p, t, ua, va, ub, vb, scale):
-    """Change of the unit normal per metre of world space between two points of a triangle, squared."""
-    ax, ay, az = interpolated_normal(tables, p, t, ua, va)
-    bx, by, bz = interpolated_normal(tables, p, t, ub, vb)
-    a, b = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
-    if not (a > 0.0 and b > 0.0):
-        return 0.0
-    turn = 2.0 - 2.0 * (ax * bx + ay * by + az * bz) / math.sqrt(a * b)
+def _edge(tables, p, t, m, side):
+    """Edge 0 -> side (1 or 2) of triangle t of part p in world space, placed by m (3, 4)."""
     corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
-    length = 0.0
-    for axis in range(3):
-        x = np.float64(positions[3 * np.int64(corners[3 * t]) + axis])
-        y = np.float64(positions[3 * np.int64(corners[3 * t + 1]) + axis])
-        z = np.float64(positions[3 * np.int64(corners[3 * t + 2]) + axis])
-        d = (ub - ua) * (y - x) + (vb - va) * (z - x)
-        length += d * d
-    length *= scale
-    return max(turn, 0.0) / length if length > 0.0 else 0.0
+    a, b = 3 * np.int64(corners[3 * t]), 3 * np.int64(corners[3 * t + side])
+    x = np.float64(positions[b]) - positions[a]
+    y = np.float64(positions[b + 1]) - positions[a + 1]
+    z = np.float64(positions[b + 2]) - positions[a + 2]
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+    )
+
+
+@device
+def _normal_at(tables, p, t, q, u, v):
+    """Unit normal in world space, 0 where there is none. q (3, 3): cofactors of the triangle's placement."""
+    x, y, z = interpolated_normal(tables, p, t, u, v)
+    n = (
+        q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
+        q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
+        q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
+    )
+    return normalized(n, (0.0, 0.0, 0.0))
+
+
+@device
+def _along(v, n):
+    """The part of v along a surface of unit normal n."""
+    a = dot(v, n)
+    return v[0] - a * n[0], v[1] - a * n[1], v[2] - a * n[2]
+
+
+@device
+def shape_operator(tables, p, t, m, q, facing, out, k):
+    """How the unit normal changes along a smooth triangle (Weingarten's map), to out[k]; returns its square.
+
+    out (N, 6) float32: the symmetric matrix xx, xy, xz, yy, yz, zz, per metre of world space; positive where the
+    surface is convex to the side of `facing`. Its square: the mean over the triangle's edges of the squared
+    change per metre. q (3, 3) float64 to work in.
+    """
+    cofactors(m, q)
+    a, b = _normal_at(tables, p, t, q, 0.0, 0.0), _normal_at(tables, p, t, q, 1.0, 0.0)
+    c = _normal_at(tables, p, t, q, 0.0, 1.0)
+    n = normalized((a[0] + b[0] + c[0], a[1] + b[1] + c[1], a[2] + b[2] + c[2]), (0.0, 0.0, 0.0))
+    b = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    c = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
+    e, f = _edge(tables, p, t, m, 1), _edge(tables, p, t, m, 2)
+    g, d = (f[0] - e[0], f[1] - e[1], f[2] - e[2]), (c[0] - b[0], c[1] - b[1], c[2] - b[2])
+    x = normalized(_along(e, n), (0.0, 0.0, 0.0))
+    y = cross(n, x)
+    length, fx, fy = dot(e, x), dot(f, x), dot(f, y)
+    if not (dot(n, n) > 0.0 and fy * fy > 1e-12 * dot(f, f) and length * length > 1e-12 * dot(e, e)):
+        return 0.0
+    # along edges the change is known; across slivers it need not be what follows from them
+    first, second, third = dot(b, b) / dot(e, e), dot(c, c) / dot(f, f), dot(d, d) / dot(g, g)
+    bx, by, cx, cy = dot(b, x), dot(b, y), dot(c, x), dot(c, y)
+    xx, yy = bx / length, (cy - by * fx / length) / fy
+    xy = 0.5 * (by / length + (cx - bx * fx / length) / fy)
+    square, most = 0.5 * (xx * xx + yy * yy) + xy * xy, SLIVER * max(first, second, third)
+    if square > most:
+        shrink = math.sqrt(most / square)
+        xx, xy, yy = shrink * xx, shrink * xy, shrink * yy
+    sign = 1.0 if dot(n, facing) >= 0.0 else -1.0
+    xx, xy, yy = sign * xx, sign * xy, sign * yy
+    i = np.int64(0)
+    for r in range(3):
+        for s in range(r, 3):
+            out[k, i] = xx * x[r] * x[s] + xy * (x[r] * y[s] + y[r] * x[s]) + yy * y[r] * y[s]
+            i += 1
+    return (first + second + third) / 3.0
 
 
 @uncounted
-def spread_of_curvature(tables, hits, width, seen, whole, rows, count, curved, spread):
+def spread_of_curvature(tables, hits, facing, width, seen, whole, rows, count, curved, spread, shape, q):
     """curved (N,) float32 at rows[0..count]: variance of the slopes of the normals over the footprints `width`.
 
-    spread (N,) float32: the same where it is worth noting.
+    spread (N,) float32: the same where it is worth noting. shape (N, 6) float32: shape_operator, as far as fragments
+    fill their footprints; stays 0 where triangles are shaded flat, which have no variance.
 
-    hits: of those rows; tables: PartTables; seen (N,) int32: subpixels in which each is seen, of which a footprint has
-    `whole`. Triangles that are shaded flat have none.
+    hits: of those rows; facing (N, 3): normals to the viewer's side; tables: PartTables; seen (N,) int32: subpixels in
+    which each is seen, of which a footprint has `whole`. q (3, 3) float64 to work in.
     """
     for i in range(count):
         k = rows[i]
@@ -59,18 +115,12 @@ def spread_of_curvature(tables, hits, width, seen, whole, rows, count, curved, s
         if tables.normals[p] == 0:
             continue
         t = np.int64(hits.triangle[k]) - np.int64(tables.first_triangle[p])
-        m = hits.world_from_part[k]
-        scale = 0.0
-        for r in range(3):
-            for c in range(3):
-                scale += m[r, c] * m[r, c] / 3.0
+        bend = shape_operator(tables, p, t, hits.world_from_part[k], q, row3(facing, k), shape, k)
+        filled = min(np.float64(seen[k]) / whole, 1.0)
+        for a in range(6):
+            shape[k, a] *= math.sqrt(filled)
         # variance is that of the mean direction: most curved surfaces bend about one axis
-        bend = 0.0
-        for e in range(3):
-            u, v = (1.0 if e == 0 else 0.0), (1.0 if e == 1 else 0.0)
-            bend += _bend(tables, p, t, u, v, v, 1.0 - u - v, scale) / 3.0
-        variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0
-        variance *= min(np.float64(seen[k]) / whole, 1.0)
+        variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0 * filled
         curved[k] = min(variance, 2.0)
         if variance > FLATTEST:
             spread[k] = curved[k]
@@ -130,17 +180,11 @@ def go_to_middles(
             place[k, 0], place[k, 1] = u, v
         if least < -BEYOND or tables.normals[p] == 0:
             continue
-        x, y, z = interpolated_normal(tables, p, t, u, v)
         cofactors(m, q)
-        x, y, z = (
-            q[0, 0] * x + q[0, 1] * y + q[0, 2] * z,
-            q[1, 0] * x + q[1, 1] * y + q[1, 2] * z,
-            q[2, 0] * x + q[2, 1] * y + q[2, 2] * z,
-        )
-        length = math.sqrt(x * x + y * y + z * z)
-        inverse = 1.0 / length if length > 0.0 else 0.0
-        along = inverse * (x * normal[k, 0] + y * normal[k, 1] + z * normal[k, 2])
-        inverse = inverse if along > 0.0 else -inverse
+        x, y, z = _normal_at(tables, p, t, q, u, v)
+        along = x * normal[k, 0] + y * normal[k, 1] + z * normal[k, 2]
+        inverse = 1.0 if along > 0.0 else -1.0
+        along *= inverse
         facing = inverse * (direction[k, 0] * x + direction[k, 1] * y + direction[k, 2] * z)
         if abs(along) > ALIKE and abs(facing) > RIM:
             normal[k, 0], normal[k, 1], normal[k, 2] = inverse * x, inverse * y, inverse * z

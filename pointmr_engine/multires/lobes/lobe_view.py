@@ -41,6 +41,9 @@ class LobeCones(NamedTuple):
     rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
     behind: np.ndarray  # (N, 3) float32: of rays, factors of what surfaces reflect (lobe_rays.behind_glossy)
     beckmann: np.ndarray  # (N,) bool: whose slopes are as a Gaussian has them, and not as GGX
+    even: (
+        np.ndarray
+    )  # (N,) bool: of curved mirrors and clear glass: the footprint itself, all of which weighs alike
 
 
 def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
@@ -56,6 +59,7 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
         np.zeros(n, np.bool_),
         np.zeros(n, f),
         np.ones((n, 3), f),
+        np.zeros(n, np.bool_),
         np.zeros(n, np.bool_),
     )
 
@@ -185,7 +189,7 @@ def weigh_sub_rays(lobes: LobeCones, count):
     """Weights of the sub-rays of cones 0..count: equal for mirrors, by their distribution for rough lobes."""
     total = 0.0
     for m in range(count):
-        if lobes.alpha[m] <= 0.0:
+        if lobes.alpha[m] <= 0.0 or lobes.even[m]:
             for b in range(64):
                 lobes.weights[m, b] = np.float32(1.0 / 64.0)
             continue

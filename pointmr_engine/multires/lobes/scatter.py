@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.shading.lobe_light import towards_normal
+from pointmr_engine.multires.lobes.curved_mirrors import open_curved, own_variance
 from pointmr_engine.multires.lobes.lobe_paths import (
     BY_SAMPLES,
     WIDEST,
@@ -158,13 +159,14 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, bent, limit, glinting, shares, first_share, passed):  # fmt: skip
+                  record, integrated, small, bent, curved, shape, limit, glinting, shares, first_share, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
     path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
     integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
     that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples look for lamps.
+    curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface.
     limit: roughness above which lobes take rays; glinting: throughput below which lobes look for lamps. shares: what
     rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not at all). passed
     (2, L, 3) float64 to work in.
@@ -222,6 +224,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             integrated[k, j] = False
             r, g = row3(passed[0], j), row3(passed[1], j)
             rough = mean_roughness(lobes, k, j)
+            own = own_variance(lobes.kind[k, j], rough, np.float64(curved[k])) if bounce == 0 else -1.0
             largest = total if chosen else _largest(r)
             ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
             if sharing and ray and _largest(r) > 0.0:
@@ -239,7 +242,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 for _ in range(times):
                     m = _reflect(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
-                        glints, integrated[k, j], small[k], bent[k], rough, ray, crowded,
+                        glints, integrated[k, j], small[k], bent[k], rough, ray, crowded, own, shape,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
             f = _branch(chosen, _largest(g), before, target, total)
@@ -253,7 +256,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 for _ in range(times):
                     m = _refract(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
-                        glints and bounce > 0, small[k], rough, ray, crowded,
+                        glints and bounce > 0, small[k], rough, ray, crowded, own, shape,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
         if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
@@ -264,12 +267,12 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
 @device
 def _reflect(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
-    small, bent, rough, ray, alone,
+    small, bent, rough, ray, alone, own, shape,
 ):  # fmt: skip
     """The ray of a lobe that reflects, its cone, or the two of one that matters; returns the next row.
 
     w: its throughput; factor: of chance, in it; u, v: random numbers for the ray; rough: mean_roughness; alone: there
-    is room for one row and no more.
+    is room for one row and no more. own: own_variance; from 0 on its cone is the footprint, which `shape` (N, 6) bends.
     """
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
@@ -289,7 +292,8 @@ def _reflect(
             m += 1
         return m
     d = (2.0 * cosine * nm[0] - wi[0], 2.0 * cosine * nm[1] - wi[1], 2.0 * cosine * nm[2] - wi[2])
-    d = towards_normal(nm, d, rough)
+    if own < 0.0:
+        d = towards_normal(nm, d, rough)
     if dot(row3(lobes.geometric_normal, k), d) <= 0.0:
         return m
     flags, pdf = np.int64(0), math.inf
@@ -299,24 +303,26 @@ def _reflect(
         flags = np.int64(NO_LAMPS)
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, abs(cosine), RAY_REFLECTION | RAY_GLOSSY | singular,
-        np.int64(0), flags, pdf, 0.0 if singular else rough, kind, small, alone, nm, wi, out, m, record,
+        np.int64(0), flags, pdf, 0.0 if singular else rough, kind, small, alone, nm, wi, out, m, record, own,
+        shape, 0.0,
     )  # fmt: skip
 
 
 @device
 def _open_cones(
     paths, k, hits, frames, lobes, limits, w, d, axis, across, ray_kind, transmission, flags, pdf, alpha, kind, small,
-    alone, normal, wi, out, m, record,
+    alone, normal, wi, out, m, record, own, shape, eta,
 ):  # fmt: skip
     """The cone of a lobe about direction d, or the two of one that matters; returns the next row.
 
     axis: the lobe's normal; across: how wide the cone is beside the plane of incidence (open_cone). alpha: roughness of
-    a mirror that spreads as much, 0 of what is sharp; kind: of the lobe; normal: of one that reflects, else 0. Others
-    as of `_reflect`.
+    a mirror that spreads as much, 0 of what is sharp; kind: of the lobe; normal: of one that reflects, else 0. eta: see
+    open_curved. Others as of `_reflect`.
     """
     # a power of the cosine is nearly one
     beckmann = kind & BECKMANN != 0 or kind & KIND_MASK == ASHIKHMIN_SHIRLEY
-    two = alpha > 0.0 and not small and not alone and _largest(w) > STRONG
+    even = own >= 0.0
+    two = alpha > 0.0 and not small and not alone and not even and _largest(w) > STRONG
     wide = min(2.0 * alpha * (CORE if two else WIDE), 0.5 * WIDEST)
     grain = wide
     for part in range(2 if two else 1):
@@ -327,8 +333,10 @@ def _open_cones(
         out.flags[m] |= flags
         out.bsdf_pdf[m] = pdf
         out.state.spread[m] = paths.state.spread[k]
-        open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
-        record.alpha[m], record.beckmann[m] = alpha, beckmann
+        even = even and open_curved(record.cones, m, out, shape, k, own, axis, wi, d, eta)
+        if not even:
+            open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
+        record.alpha[m], record.beckmann[m], record.even[m] = alpha, beckmann, even
         record.part[m] = part + 1 if two else 0
         record.ray[m] = small
         for c in range(3):
@@ -361,7 +369,7 @@ def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, 
 @device
 def _refract(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, small, rough, ray,
-    alone,
+    alone, own, shape,
 ):  # fmt: skip
     """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`."""
     kind = lobes.kind[k, j]
@@ -389,4 +397,5 @@ def _refract(
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
         flags, math.inf, 0.0 if singular else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record,
+        own, shape, inverse,
     )  # fmt: skip

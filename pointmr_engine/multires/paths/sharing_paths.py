@@ -19,7 +19,11 @@ from pointmr_engine.multires.sharing.world_rays import (
 from pointmr_engine.raytracing.integrator import NEXT
 from pointmr_engine.raytracing.lights import LAMP, WORLD
 from pointmr_engine.raytracing.paths import allocate_samples
-from pointmr_engine.shading.points import RAY_REFLECTION
+from pointmr_engine.shading.points import RAY_CAMERA, RAY_REFLECTION
+
+MIRRORED = (
+    4  # times as many rays to the world from what mirrors and clear glass show: nothing there is shared
+)
 
 
 class SharingPaths(EdgePaths):
@@ -35,7 +39,7 @@ class SharingPaths(EdgePaths):
             self.every = allocate_samples(2 * room)
         self.peers = np.ones(room)  # cones that share what a fragment receives
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
-        self.repeats = light.world_rays  # of a point behind first surfaces to the world
+        self.repeats = light.world_rays  # rays of a point behind first surfaces to the world: see MIRRORED
         self.looked, self.unlit = 0, None  # turns to one of many lights so far, and radiance before them
 
     def start_tile(self, space, count: int) -> None:
@@ -59,6 +63,9 @@ class SharingPaths(EdgePaths):
             kept = [a[:m].copy() for a in lit]
             if self.small is None:  # behind first surfaces
                 self.asked[:] = self.repeats
+                if self.repeats > 1:
+                    mirrored = (now.state.kind[: self.count] & RAY_CAMERA) == 0
+                    self.asked[: self.count][mirrored] *= MIRRORED
                 self._look_at_world(now, lit, kept, self.asked[kept[0]])
             else:
                 self._look_as_worth(now, lit, kept)
