@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.cones.cones import perpendicular, set_axes
-from pointmr_engine.multires.cones.footprint import as_cone, mirrored, refracted, roughened
+from pointmr_engine.multires.cones.footprint import as_cone, mirrored, refracted, roughened, tilt
 from pointmr_engine.multires.cones.lamp_cones import NEAR
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.layout import GLASS, KIND_MASK, REFLECTION, REFRACTION
@@ -18,7 +18,11 @@ from pointmr_engine.shading.bsdf.vector import cross, dot
 
 OWN = 0.3  # squared roughness of its own that a lobe may have, against what curvature adds
 BEYOND = 8.0  # distance at which a cone is as wide as the footprint, in distances at which that has doubled its width
+BEFORE = (
+    2.0  # distance between the surface and its plane at a footprint's rim, against slope times half width
+)
 BENT = 4.0  # times the slope that it came with, from which a mirrored footprint is as if it came from a point
+RIM = 0.4  # change of the normal over a footprint's half, against the cosine of incidence, up to which it is one
 WIDEST = 0.7  # slope of a footprint's half width, beyond which it is a lobe
 
 
@@ -48,7 +52,7 @@ def _along(shape, k, a, b):
 
 @device
 def open_curved(cones, m, out, shape, k, own, normal, incoming, d, eta):
-    """The cone of path m: its footprint behind the surface; False where that is too wide for one.
+    """The cone of path m: its footprint behind the surface; False where that is too wide for one, or at a rim.
 
     shape (N, 6): curvature.shape_operator, of which row k counts; own: own_variance; incoming: unit vector to where the
     path came from; d: the direction in which it leaves; eta: 0 of a mirror, else the index of refraction before over
@@ -64,6 +68,9 @@ def open_curved(cones, m, out, shape, k, own, normal, incoming, d, eta):
     )
     half, slope = 0.5 * np.float64(out.state.width[m]), 0.5 * np.float64(out.state.spread[m])
     place, spread = (half, 0.0, 0.0, half), (slope, 0.0, 0.0, slope)
+    tilted = tilt(place, cosine, operator)
+    if tilted[0] * tilted[0] + tilted[1] * tilted[1] > RIM * RIM * cosine * cosine:
+        return False
     if eta == 0.0:
         spread = mirrored(place, spread, cosine, operator)
         spread = roughened(spread, 4.0 * own, 4.0 * cosine * cosine * own)
@@ -89,10 +96,11 @@ def open_curved(cones, m, out, shape, k, own, normal, incoming, d, eta):
         start_x = start_y = 0.0
     cones.start[m, 0], cones.start[m, 1] = start_x, start_y
     cones.spread[m, 0], cones.spread[m, 1] = spread_x, spread_y
-    # a plane across the axis would begin below the surface
+    # sub-rays that begin beside the axis do so before the surface, or behind it
     steep = abs(dot(normal, d))
     below = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
-    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], max(start_x, start_y) * below)
+    reach = max(start_x, start_y) * (below + BEFORE * widest)
+    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], reach)
     cones.t_max[m] = out.rays.t_max[m]
     cones.visibility[m] = out.rays.visibility[m]
     return True

@@ -159,7 +159,8 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, bent, curved, shape, limit, glinting, shares, first_share, passed):  # fmt: skip
+                  record, integrated, small, bent, curved, shape, limit, glinting, shares, first_share,
+                  passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
@@ -321,28 +322,29 @@ def _open_cones(
     """
     # a power of the cosine is nearly one
     beckmann = kind & BECKMANN != 0 or kind & KIND_MASK == ASHIKHMIN_SHIRLEY
-    even = own >= 0.0
-    two = alpha > 0.0 and not small and not alone and not even and _largest(w) > STRONG
-    wide = min(2.0 * alpha * (CORE if two else WIDE), 0.5 * WIDEST)
-    grain = wide
-    for part in range(2 if two else 1):
-        if part == 1:
-            wide *= (REST_OF_GAUSSIAN if beckmann else REST) / CORE
+    even, parts, part = False, 1, 0
+    wide = grain = 2.0 * alpha
+    while part < parts:
         go_on(paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0], w[1], w[2], d[0], d[1], d[2],
               ray_kind, np.int64(1) - transmission, transmission)  # fmt: skip
         out.flags[m] |= flags
         out.bsdf_pdf[m] = pdf
         out.state.spread[m] = paths.state.spread[k]
-        even = even and open_curved(record.cones, m, out, shape, k, own, axis, wi, d, eta)
+        if part == 0:
+            even = own >= 0.0 and open_curved(record.cones, m, out, shape, k, own, axis, wi, d, eta)
+            parts = 2 if alpha > 0.0 and not (small or alone or even) and _largest(w) > STRONG else 1
+            wide = grain = min(wide * (CORE if parts == 2 else WIDE), 0.5 * WIDEST)
+        else:
+            wide *= (REST_OF_GAUSSIAN if beckmann else REST) / CORE
         if not even:
             open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
         record.alpha[m], record.beckmann[m], record.even[m] = alpha, beckmann, even
-        record.part[m] = part + 1 if two else 0
+        record.part[m] = part + 1 if parts == 2 else 0
         record.ray[m] = small
         for c in range(3):
             record.normal[m, c] = normal[c]
             record.incoming[m, c] = wi[c]
-        m += 1
+        m, part = m + 1, part + 1
     return m
 
 
