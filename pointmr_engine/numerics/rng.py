@@ -15,6 +15,7 @@ from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.sobol import sobol_tables  # noqa: F401  (the `tables` argument of the kernels here)
 
 _INV_2_24 = 2.0**-24
+R1 = 0.6180339887498949  # step of the golden ratio's low-discrepancy sequence
 R2 = (0.7548776662466927, 0.5698402909980532)  # steps of Roberts' low-discrepancy sequence in two dimensions
 
 

@@ -21,6 +21,7 @@ from pointmr_engine.multires.cones.cone_space import Style, allocate, scene_of
 from pointmr_engine.multires.cones.cone_walk import COUNTERS, usable
 from pointmr_engine.multires.cones.cones import Cones, sub_ray
 from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import R1
 from pointmr_engine.numerics.simd import trailing_zeros
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_hits
 from pointmr_engine.raytracing.walk import describe, intersect
@@ -29,7 +30,11 @@ FACING = 0.8  # least cosine between the normals of triangles that make one frag
 MOST = 64
 BOXES = 512  # of a cone; those of some sub-rays cost less than more of them
 ASKED = -1  # Output.length of a sub-ray that is walked instead of its cone
-_NO_WEIGHTS = np.empty((0, 64), np.float32)
+_NO_WEIGHTS, _NO_CHANCES = np.empty((0, 64), np.float32), np.empty(0)
+# sub-rays along a Morton curve: numbers that lie close together choose such that do
+_CURVE = np.array(
+    [b & 1 | b >> 1 & 2 | b >> 2 & 4 | (b >> 1 & 1 | b >> 2 & 2 | b >> 3 & 4) << 3 for b in range(64)]
+)
 
 
 class Merging(NamedTuple):
@@ -40,6 +45,9 @@ class Merging(NamedTuple):
     exact: bool = True  # rays find what is seen of points; else it is one of their triangles, seen or not
     boxes: int = BOXES  # most that a cone looks at
     seed: int = 0
+    chances: np.ndarray = (
+        _NO_CHANCES  # (N,) in [0, 1), by which sub-rays are chosen; none: by a hash of seed and cone
+    )
 
 
 class Fragments(NamedTuple):
@@ -139,7 +147,7 @@ def _group(buffer, groups, mask, cones, n, merging):
 
 
 @device
-def _choose_bit(mask, weights, n, chance):
+def choose_bit(mask, weights, n, chance):
     """One of the set bits, by the weights that the sub-rays of cone n have, or where there are none by equal ones."""
     known = len(weights) > 0
     total, rest = 0.0, mask
@@ -148,17 +156,23 @@ def _choose_bit(mask, weights, n, chance):
         rest &= rest - 1
         total += np.float64(weights[n, bit]) if known else 1.0
     target, chosen = chance * total, trailing_zeros(mask)
-    rest = mask
-    while rest != 0:
-        bit = trailing_zeros(rest)
-        rest &= rest - 1
+    for i in range(64):
+        bit = _CURVE[i]
         weight = np.float64(weights[n, bit]) if known else 1.0
-        if weight > 0.0:
+        if (mask >> bit) & 1 and weight > 0.0:
             chosen = bit
             if target < weight:
                 break
             target -= weight
     return chosen
+
+
+@device
+def _fraction(merging, n, g):
+    """A number in [0, 1) for fragment g of cone n."""
+    if len(merging.chances) > 0:
+        return (merging.chances[n] + R1 * g) % 1.0
+    return (_chance(merging.seed, n, g) & 0xFFFF) / 65536.0
 
 
 @device
@@ -181,7 +195,7 @@ def _ask_some(cones, weights, n, merging, out, row):
                 bits |= np.int64(1) << bit
         if bits == 0:
             continue
-        bit = _choose_bit(bits, weights, n, (_chance(merging.seed, n, g) & 0xFFFF) / 65536.0)
+        bit = choose_bit(bits, weights, n, _fraction(merging, n, g))
         begin_sub_ray(cones, n, bit, out, row)
         out.hits.triangle[row] = -1
         out.length[row], out.bit[row] = ASKED, ~bit
@@ -210,7 +224,7 @@ def _fragments(w, s, cones, weights, escaped, counters, levels, scratch, style, 
         for g in range(count):
             bits = groups.mask[g]
             h = _chance(merging.seed, n, g)
-            bit = _choose_bit(bits, weights, n, (h & 0xFFFF) / 65536.0)
+            bit = choose_bit(bits, weights, n, _fraction(merging, n, g))
             k = np.int64(buffer.owner[bit])
             choose(w, s, cones, n, bit, buffer.entry[k], buffer.place_matrix, buffer.place_chain, buffer.place_length,
                    h, choice, out, row)  # fmt: skip

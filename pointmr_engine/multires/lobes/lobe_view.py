@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.multires.cones.cone_hits import choose_bit
 from pointmr_engine.multires.cones.cones import Cones, direction_of
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.rng import sample_1d
+from pointmr_engine.numerics.rng import R1, sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
 from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
 from pointmr_engine.shading.bsdf.vector import row3
@@ -149,7 +150,21 @@ def _weigh(lobes: LobeCones, m):
 
 
 @uncounted
-def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, count):
+def choose_places(paths: Paths, samples, tables, bounce, count, out):
+    """out (N,) float64: by what numbers in [0, 1) the cones 0..count choose among their sub-rays.
+
+    Stratified over what lies side by side in the image, as the samples' numbers are; cones of one sample share it out.
+    """
+    turn = 0
+    for m in range(count):
+        slot = paths.slot[m]
+        turn = turn + 1 if m > 0 and paths.slot[m - 1] == slot else 0
+        chance = sample_1d(tables, samples.seed[slot], np.uint32(64 * bounce + 9), samples.number[slot])
+        out[m] = (chance + turn * R1) % 1.0
+
+
+@uncounted
+def thin_out(paths: Paths, lobes: LobeCones, chances, strong, count):
     """Cones 0..count of throughput below `strong`, or not worth it, become a ray each: a sub-ray, by weight."""
     c = lobes.cones
     for m in range(count):
@@ -163,15 +178,7 @@ def thin_out(paths: Paths, lobes: LobeCones, samples, tables, bounce, strong, co
             lobes.alpha[m] = THROUGH_MIRROR
             paths.bsdf_pdf[m] = math.inf
             continue
-        slot = paths.slot[m]
-        seed = np.uint32(samples.seed[slot] ^ np.uint32(m))
-        target = sample_1d(tables, seed, np.uint32(64 * bounce + 9), samples.number[slot])
-        b = np.int64(0)
-        while b < 63:
-            target -= lobes.weights[m, b]
-            if target < 0.0:
-                break
-            b += 1
+        b = choose_bit(np.int64(-1), lobes.weights, np.int64(m), chances[m])
         u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
         v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
         inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)

@@ -25,6 +25,7 @@ from pointmr_engine.multires.lobes.lobe_shares import (
 )
 from pointmr_engine.multires.lobes.lobe_view import (
     allocate_lobe_cones,
+    choose_places,
     follow_cones,
     thin_out,
     weigh_sub_rays,
@@ -73,6 +74,7 @@ class ConePaths(WideLamps):
         # behind first surfaces, lobes and samples share the lamps but where these have cones
         self.glinting, self.glints = np.inf if light.many else STRONG, False
         self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
+        self.chances = np.zeros(n)  # by which cones choose among their sub-rays
         self.going = 0
 
     def waiting_cones(self):
@@ -208,9 +210,10 @@ class ConePaths(WideLamps):
         light, lobes, met, hits = self.light, self.lobe_cones, self.met, self.hits
         weigh_sub_rays(lobes, np.int64(n))
         strong = STRONG if bounce == 1 else 1.0
-        thin_out(now, lobes, self.samples, self.stage.tables, np.int64(bounce), strong, np.int64(n))
+        choose_places(now, self.samples, self.stage.tables, np.int64(bounce), np.int64(n), self.chances)
+        thin_out(now, lobes, self.chances, strong, np.int64(n))
         most = max(1, min(MOST if bounce == 1 else 1, ROOM // n - 1))
-        merging = Merging(most=most, seed=self.stage.settings.seed + bounce)
+        merging = Merging(most=most, seed=self.stage.settings.seed + bounce, chances=self.chances)
         met.rays.skip_triangle[:] = -1
         cones = int(np.count_nonzero(lobes.alpha[:n] >= 0))
         self.counters.update(lobe_cones=cones, lobe_rays=n - cones)

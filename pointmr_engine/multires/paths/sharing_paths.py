@@ -21,9 +21,7 @@ from pointmr_engine.raytracing.lights import LAMP, WORLD
 from pointmr_engine.raytracing.paths import allocate_samples
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_REFLECTION
 
-MIRRORED = (
-    4  # times as many rays to the world from what mirrors and clear glass show: nothing there is shared
-)
+MIRRORED = 4  # times as many rays to the world from what mirrors and clear glass show, which nothing shares
 
 
 class SharingPaths(EdgePaths):
