@@ -168,6 +168,40 @@ def fence() -> None:
     stage.camera((0.4, -0.5, 1.5), (0, 20.0, 1.2), 32.0, clip_end=1000.0)
 
 
+def mirrors() -> None:
+    """Balls and rings of chrome, glass and satin metal on checks, small blocks between them, under half a sky."""
+    from benchmarks.features import stage
+
+    stage.empty_scene()
+
+    def surface(tree):
+        at = stage.node(tree, "ShaderNodeNewGeometry").outputs["Position"]
+        colors = {"Color1": (0.8, 0.75, 0.7), "Color2": (0.1, 0.12, 0.2), "Scale": 1.0}
+        checks = stage.node(tree, "ShaderNodeTexChecker", {"Vector": at, **colors})
+        return stage.node(tree, "ShaderNodeBsdfDiffuse", {"Color": checks.outputs["Color"]}).outputs[0]
+
+    # off the lattice of the checks
+    stage.plane(stage.material("Checks", surface), (0, 0, 0.01), size=40.0)
+    kinds = (
+        stage.principled("Chrome", Base_Color=(0.9, 0.9, 0.9), Metallic=1.0, Roughness=0.0),
+        stage.principled("Glass", Base_Color=(1, 1, 1), Transmission_Weight=1.0, Roughness=0.0, IOR=1.45),
+        stage.principled("Satin", Base_Color=(0.9, 0.7, 0.5), Metallic=1.0, Roughness=0.1),
+    )
+    for i in range(9):
+        at = (2.4 * (i % 3 - 1), 3.0 * (i // 3), 1.0)
+        if i % 2:
+            stage.sphere(kinds[i % 3], at)
+        else:
+            stage.turned(stage.torus(kinds[i % 3], at, 0.8, 0.3), 1.2, 0.3 * i)
+    blocks = [stage.matte(c, f"Block {i}") for i, c in enumerate((stage.RED, stage.GREEN, stage.BLUE))]
+    for i in range(30):
+        at = (1.1 * (7 * i % 13 - 6), 5 * i % 11 - 3.0, 0.2)
+        stage.cube(blocks[i % 3], at, 0.35, bevel=0.0, turn=0.0)
+    stage.world((0.42, 0.55, 0.78), 1.0)
+    stage.plane(stage.matte((0.05, 0.05, 0.05), "Wall"), (0, 30.0, 0), 60.0, (1.5708, 0, 0))
+    stage.camera((0, -7.0, 3.0), (0, 0, 0.67), 50.0)
+
+
 # ---- the forest that Cycles can load ----------------------------------------------------------------------------
 
 

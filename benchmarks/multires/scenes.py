@@ -56,6 +56,9 @@ SUBJECTS: dict[str, Subject] = {
     ),
     "horizon": Subject("fine checks and noise to the horizon", 6.0, build=builders.horizon),
     "fence": Subject("rows of wire mesh, wires far thinner than a pixel", 4.0, build=builders.fence),
+    "mirrors": Subject(
+        "balls and rings of chrome, glass and satin metal on checks", 1.0, build=builders.mirrors
+    ),
     "hair": Subject("200 instances of hair", 0.3),
     "still_life": Subject("area lights, depth of field, glossy and glass", 0.15),
     "bmw27": Subject("cars under emissive meshes, glass, metal, depth of field", 1.0),
