@@ -18,9 +18,7 @@ from pointmr_engine.shading.bsdf.vector import cross, dot
 
 OWN = 0.3  # squared roughness of its own that a lobe may have, against what curvature adds
 BEYOND = 8.0  # distance at which a cone is as wide as the footprint, in distances at which that has doubled its width
-BEFORE = (
-    2.0  # distance between the surface and its plane at a footprint's rim, against slope times half width
-)
+BEFORE = 2.0  # how far a footprint's rim may lie off the plane of its middle, in slopes times half widths
 BENT = 4.0  # times the slope that it came with, from which a mirrored footprint is as if it came from a point
 RIM = 0.4  # change of the normal over a footprint's half, against the cosine of incidence, up to which it is one
 WIDEST = 0.7  # slope of a footprint's half width, beyond which it is a lobe
