@@ -11,7 +11,7 @@ import numpy as np
 
 from pointmr_engine.multires.cones.cones import perpendicular, set_axes
 from pointmr_engine.multires.cones.footprint import as_cone, mirrored, refracted, roughened, tilt
-from pointmr_engine.multires.cones.lamp_cones import NEAR
+from pointmr_engine.multires.lobes.lobe_paths import begin_cone
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.layout import GLASS, KIND_MASK, REFLECTION, REFRACTION
 from pointmr_engine.shading.bsdf.vector import cross, dot
@@ -88,17 +88,8 @@ def open_curved(cones, m, out, shape, k, own, normal, incoming, d, eta):
     for a in range(3):
         x, y = cones.axes[m, 0, a], cones.axes[m, 1, a]
         cones.axes[m, 0, a], cones.axes[m, 1, a] = c * x + s * y, c * y - s * x
-        cones.origin[m, a] = out.rays.origin[m, a]
     # sub-rays beside each other on coarse triangles would start below them: mirrors that bend need hardly any place
     if eta == 0.0 and widest > BENT * slope:
         start_x = start_y = 0.0
-    cones.start[m, 0], cones.start[m, 1] = start_x, start_y
-    cones.spread[m, 0], cones.spread[m, 1] = spread_x, spread_y
-    # sub-rays that begin beside the axis do so before the surface, or behind it
-    steep = abs(dot(normal, d))
-    below = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
-    reach = max(start_x, start_y) * (below + BEFORE * widest)
-    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], reach)
-    cones.t_max[m] = out.rays.t_max[m]
-    cones.visibility[m] = out.rays.visibility[m]
+    begin_cone(cones, m, out, normal, start_x, start_y, spread_x, spread_y, BEFORE * widest)
     return True

@@ -113,6 +113,7 @@ def open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
     set_axes(cones, m, ix, iy, iz, dx, dy, dz)
     start, spread = 0.5 * out.state.width[m], 0.5 * out.state.spread[m]
     if wide > 0.0:
+        start = 0.0  # only mirrors need the footprint
         # sub-rays leave elsewhere in the lobe from point to point, lest their cells show
         o = out.rays.origin
         turn = jitter(o[m, 0], o[m, 1], o[m, 2], out.state.width[m])
@@ -126,16 +127,34 @@ def open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
         )
         inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
         set_axes(cones, m, ix, iy, iz, dx * inverse, dy * inverse, dz * inverse)
+    begin_cone(
+        cones,
+        m,
+        out,
+        (ix, iy, iz),
+        start,
+        start,
+        min(wide + spread, WIDEST),
+        min(wide * across + spread, WIDEST),
+        0.0,
+    )
+
+
+@device
+def begin_cone(cones, m, out, normal, start_x, start_y, spread_x, spread_y, bent):
+    """The cone of path m, whose axes are set, begins where the path does, on a surface of that normal.
+
+    Half widths at its start and what they gain per metre; bent: how far the surface leaves its plane within them, per
+    metre of half width.
+    """
+    d = cones.axes[m, 2]
+    # a plane across the axis would begin before the surface on one side, and below it on the other
+    steep = abs(normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2])
+    slope = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
     for a in range(3):
         cones.origin[m, a] = out.rays.origin[m, a]
-    # a plane across the axis would begin below the surface: only mirrors need the footprint, and less of their way
-    steep = abs(ix * dx + iy * dy + iz * dz)
-    slope = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
-    if wide > 0.0:
-        start = 0.0
-    cones.start[m, 0] = cones.start[m, 1] = start
-    cones.spread[m, 0] = min(wide + spread, WIDEST)
-    cones.spread[m, 1] = min(wide * across + spread, WIDEST)
-    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], start * slope)
+    cones.start[m, 0], cones.start[m, 1] = start_x, start_y
+    cones.spread[m, 0], cones.spread[m, 1] = spread_x, spread_y
+    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], max(start_x, start_y) * (slope + bent))
     cones.t_max[m] = out.rays.t_max[m]
     cones.visibility[m] = out.rays.visibility[m]
