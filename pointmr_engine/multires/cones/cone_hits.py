@@ -45,9 +45,8 @@ class Merging(NamedTuple):
     exact: bool = True  # rays find what is seen of points; else it is one of their triangles, seen or not
     boxes: int = BOXES  # most that a cone looks at
     seed: int = 0
-    chances: np.ndarray = (
-        _NO_CHANCES  # (N,) in [0, 1), by which sub-rays are chosen; none: by a hash of seed and cone
-    )
+    # (N,) float64 in [0, 1), by which cones choose among their sub-rays; none: by a hash of seed and cone
+    chances: np.ndarray = _NO_CHANCES
 
 
 class Fragments(NamedTuple):
