@@ -56,8 +56,8 @@ class ConeLight:
         self.shares_lamps = None in self.rays.turns
         self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0
         # a mirror never shows a lamp that is a point
-        self.extended = lamps > 0 and bool(arrays.lamps.mis.all())
-        self.bends = self.extended and not self.many
+        self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and bool(arrays.lamps.mis.all())
+        self.bends = self.extended and lamps > 0 and not self.many
         of = arrays.lamps.source
         self.alone = [compile_lamps([scene.lights[of[k]]])[0] for k in wide]
         self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]

@@ -97,14 +97,12 @@ def restore_lobes(lobes, rows, samples, glints, count, kept):
 
 
 @uncounted
-def sample_widened(lobes, throughput, below, count):
-    """Let light samples look for lamps in mirrors that are seen as narrow lobes, where lobes share these (`glints`).
+def sample_widened(lobes, count):
+    """Let light samples look for what shines in the mirrors of points 0..count that are seen as narrow lobes.
 
-    Points 0..count of a throughput `below` that. Lamps in narrow refractions are left to rays that meet them.
+    What shines in narrow refractions is left to rays that meet it.
     """
     for k in range(count):
-        if max(throughput[k, 0], throughput[k, 1], throughput[k, 2]) >= below:
-            continue
         for j in range(np.int64(lobes.count[k])):
             kind = lobes.kind[k, j]
             base = kind & KIND_MASK

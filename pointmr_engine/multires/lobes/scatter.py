@@ -24,7 +24,9 @@ from pointmr_engine.multires.lobes.lobe_paths import (
 )
 from pointmr_engine.multires.lobes.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobes.lobe_shares import NARROW, mean_roughness
+from pointmr_engine.multires.lobes.lobe_throughput import passed_by
 from pointmr_engine.multires.lobes.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
+from pointmr_engine.multires.lobes.mirror_chains import grow
 from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
@@ -32,18 +34,14 @@ from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     BECKMANN,
-    GLASS,
     IOR,
     KIND_MASK,
     NORMAL,
     REFLECTION,
-    REFRACTION,
     SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
 )
-from pointmr_engine.shading.bsdf.microfacet import fresnel
-from pointmr_engine.shading.bsdf.setup import passed_on, single_scattering
 from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, row3
 from pointmr_engine.shading.points import (
     RAY_DIFFUSE,
@@ -63,49 +61,7 @@ SHARP = 0.3  # roughness below which they are mirrors and clear glass: where a f
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
 WEAK_THROUGH = 0.5  # ... and of what passes leaves, behind which lights have been sampled
 THROUGH_ROUGH = 0.4  # of what passes leaves: what its rays stand for, as if it were this rough a lobe
-LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in roughnesses, and how many
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
-
-
-@device
-def _from_inside(lobes, k, j, tables, cosine):
-    """(reflected rgb, transmitted rgb) of glass seen from inside, where the tables of albedo know no total reflection.
-
-    The mean over facets that lean as a rough surface's do, so that no side is 0 to which one of them may send light.
-    """
-    rough = mean_roughness(lobes, k, j)
-    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    r, g = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    for i in range(LEANS):
-        lean = rough * LEAN * (2.0 * i / (LEANS - 1) - 1.0)
-        c = min(max((cosine + lean * sine) / math.sqrt(1.0 + lean * lean), 1e-4), 1.0)
-        a, b, _ = fresnel(lobes.kind[k, j], lobes.data, k, j, tables.film, c)
-        r, g = (r[0] + a[0], r[1] + a[1], r[2] + a[2]), (g[0] + b[0], g[1] + b[1], g[2] + b[2])
-    n = single_scattering(lobes.kind[k, j], lobes.data, k, j, tables, cosine) / LEANS
-    return (n * r[0], n * r[1], n * r[2]), (n * g[0], n * g[1], n * g[2])
-
-
-@device
-def _lobe_shares(paths, lobes, k, j, tables_of_albedo, incoming):
-    """(reflected rgb, transmitted rgb) of the path's throughput that lobe j of point k passes on; 0 where diffuse."""
-    zero = (0.0, 0.0, 0.0)
-    kind = lobes.kind[k, j]
-    base = kind & KIND_MASK
-    if base <= TRANSLUCENT:
-        return zero, zero
-    if base == GLASS and lobes.data[k, j, IOR] < 1.0:
-        cosine = dot(load3(lobes.data, k, j, NORMAL), incoming)
-        reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo, cosine)
-    else:
-        reflected, transmitted = passed_on(kind, lobes.data, k, j, tables_of_albedo, incoming)
-    w, t = load3(lobes.data, k, j, WEIGHT), paths.throughput[k]
-    w = (w[0] * t[0], w[1] * t[1], w[2] * t[2])
-    r, g = zero, zero
-    if base != REFRACTION:
-        r = (w[0] * reflected[0], w[1] * reflected[1], w[2] * reflected[2])
-    if base == REFRACTION or base == GLASS:
-        g = (w[0] * transmitted[0], w[1] * transmitted[1], w[2] * transmitted[2])
-    return r, g
 
 
 @device
@@ -159,7 +115,7 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, bent, curved, shape, limit, glinting, shares, first_share,
+                  record, integrated, small, bent, curved, shape, turned, limit, glinting, shares, first_share,
                   passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
@@ -167,7 +123,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
     integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
     that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples look for lamps.
-    curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface.
+    curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface. turned (N,): as of
+    mirror_chains.follow_footprints; 0 there.
     limit: roughness above which lobes take rays; glinting: throughput below which lobes look for lamps. shares: what
     rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not at all). passed
     (2, L, 3) float64 to work in.
@@ -192,7 +149,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             )
         total = max(_largest(clear), 0.0)
         for j in range(np.int64(lobes.count[k])):
-            r, g = _lobe_shares(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
+            r, g = passed_by(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
             total += _largest(r) + _largest(g)
             passed[0, j, 0], passed[0, j, 1], passed[0, j, 2] = r
             passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
@@ -240,12 +197,14 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(r), small[k]) if ray and bounce == 0 and not crowded else 1
                 r, f = (r[0] / times, r[1] / times, r[2] / times), f / times
+                begin = m
                 for _ in range(times):
                     m = _reflect(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
                         glints, integrated[k, j], small[k], bent[k], rough, ray, crowded, own, shape,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
+                grow(out, begin, m, 2.0 * turned[k])
             f = _branch(chosen, _largest(g), before, target, total)
             before += _largest(g)
             if f > 0.0:

@@ -30,6 +30,7 @@ from pointmr_engine.multires.lobes.lobe_view import (
     thin_out,
     weigh_sub_rays,
 )
+from pointmr_engine.multires.lobes.mirror_chains import follow_footprints
 from pointmr_engine.multires.lobes.scatter import STRONG, scatter_lobes
 from pointmr_engine.multires.paths.fragment_paths import BATCH
 from pointmr_engine.multires.paths.shadow_edges import LARGE
@@ -48,7 +49,9 @@ ROOM = 6 * BATCH  # paths at once: fragments of a tile, and what the cones of ea
 AROUND = 0.5
 OF_SKY = 0.5  # of that, where a ray sees the world: its maps have a lobe's tails, which the ray was drawn from, too
 MOST = 3  # fragments of a cone
-GAPS = 2.0  # times the variance of a fragment's normals, added for lamps
+# times the variance by which lobes are widened that is added for lamps that take rays: of a fragment's normals, and
+# behind, where a path stands for more than the part of a lobe that it keeps (AROUND)
+GAPS, BEHIND = 2.0, 8.0
 
 
 class ConePaths(WideLamps):
@@ -62,6 +65,7 @@ class ConePaths(WideLamps):
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
         self.none = np.zeros(n, np.bool_)
+        self.turned = np.zeros(n, np.float32)  # of mirrors behind mirrors: mirror_chains.follow_footprints
         self.lobe_cones = allocate_lobe_cones(n, allocate_cones(n))
         # sub-rays are weighed when their cones are followed: one room for their weights will do
         self.next_cones = allocate_lobe_cones(n, allocate_cones(n))._replace(weights=self.lobe_cones.weights)
@@ -91,7 +95,14 @@ class ConePaths(WideLamps):
             self.flat[:n] = 1.0
             # what arrives is a part of a lobe: surfaces behind it reflect that part, and not a ray
             self.spread[:n] = 0.5 * self.lobe_alpha[:n] ** 2
+            if self.light.extended:
+                follow_footprints(
+                    self.stage.shader.geometry.tables, now, self.hits, self.frames.smooth_normal, self.lobes,
+                    self.hits.triangle[:n] >= 0, np.int64(n), self.turned, self.spread, self.shape, np.empty((3, 3)),
+                )  # fmt: skip
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
+        else:
+            self.turned[:n] = 0.0
         super().shaded(now, n, bounce)
 
     def roulette(self, now, n: int, alive, bounce: int) -> None:
@@ -109,9 +120,9 @@ class ConePaths(WideLamps):
         if bends:
             bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
         keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
+        if light.extended:
+            sample_widened(lobes, np.int64(n))
         if bounce:
-            if light.extended:
-                sample_widened(lobes, now.throughput, self.glinting, np.int64(n))
             weak = alive & (now.throughput[:n].max(1) < STRONG)
             self.stage, self.glints, self.repeats = self.weak_stage, True, 1
             super()._direct_light(now, n, weak, bounce)
@@ -127,15 +138,16 @@ class ConePaths(WideLamps):
             self.light_wide_lamps(now, n, bounce)
 
     def _look_at_light(self, now, m: int, turn) -> None:
-        """As SharingPaths; a lamp of its own finds no gaps between the lobes of neighbours on a curved surface."""
-        if self.small is None or turn is None or turn[0] != LAMP:
+        """As SharingPaths; a lamp of its own finds no gaps between what neighbours' lobes see of a curved surface."""
+        if turn is None or turn[0] != LAMP or self.small is None and not self.light.extended:
             super()._look_at_light(now, m, turn)
             return
-        count, lobes = np.int64(self.count), self.lobes
+        count, lobes = np.int64(self.lit_rows[:m].max(initial=-1) + 1), self.lobes
+        variance, times = (self.spread, BEHIND) if self.small is None else (self.curved, GAPS)
         kinds = lobes.kind[:count].copy()
-        widen_more(lobes, self.curved, GAPS, self.alpha, count)
+        widen_more(lobes, variance, times, self.alpha, count)
         super()._look_at_light(now, m, turn)
-        widen_more(lobes, self.curved, 0.0, self.alpha, count)
+        widen_more(lobes, variance, 0.0, self.alpha, count)
         lobes.kind[:count] = kinds  # mirrors are mirrors again, though they bend
 
     def sample_lights(self, m: int, turn=None):
@@ -189,7 +201,7 @@ class ConePaths(WideLamps):
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
             self.integrated, self.none if self.small is None else self.small, bent, self.curved, self.shape,
-            self.limit, glinting, self.shared_light.lobes, np.int64(self.first), self.passed,
+            self.turned, self.limit, glinting, self.shared_light.lobes, np.int64(self.first), self.passed,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:

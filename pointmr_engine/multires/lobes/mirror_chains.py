@@ -1,0 +1,69 @@
+"""Mirrors that show mirrors: how footprints grow from one bent surface to the next, where rays stand for them.
+
+A ray has no width. Behind several bent surfaces it stands for much of what is around, and where such a ray met a lamp
+by chance, a pixel would be far too bright: so the last of these mirrors is as rough as its footprint is wide, and light
+samples find the lamp in it (regularised paths: Kaplanyan and Dachsbacher 2013).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pointmr_engine.multires.fragments.curvature import shape_operator
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.shading.bsdf.layout import GLASS, KIND_MASK, REFRACTION, TRANSLUCENT
+from pointmr_engine.shading.bsdf.vector import row3
+
+WIDE = 0.05  # growth of a mirrored footprint per metre from which the mirror is as rough
+ROUGHEST = 0.06  # variance of the slopes that it has then, at most: what is rougher grazes, and loses light
+OF_GROWTH = 1.0 / 48.0  # that variance against a squared growth: of half of it, over a box
+
+
+@device
+def _sees_mirrored(lobes, k):
+    """(whether point k has lobes that are not diffuse, whether one of them lets light through)."""
+    sees = through = False
+    for j in range(np.int64(lobes.count[k])):
+        kind = lobes.kind[k, j] & KIND_MASK
+        sees |= kind > TRANSLUCENT
+        through |= kind == REFRACTION or kind == GLASS
+    return sees, through
+
+
+@uncounted
+def follow_footprints(tables, paths, hits, facing, lobes, alive, count, turned, spread, shape, q):
+    """turned (N,) float32: by how much the normal turns across the footprints of points 0..count; 0 of matt and flat.
+
+    spread (N,) float32: variance of the slopes by which lobes are widened; that of a WIDE footprint is added. Not at
+    glass: through it rays alone find lamps, and in wide lobes they seldom do.
+
+    tables: PartTables; facing (N, 3): normals to the viewer's side; alive (N,) bool; shape (N, 6), q (3, 3) to work in.
+    """
+    for k in range(count):
+        turned[k] = 0.0
+        if not alive[k]:
+            continue
+        sees, through = _sees_mirrored(lobes, k)
+        if not sees:
+            continue
+        p = np.int64(hits.part[k])
+        if tables.normals[p] != 0:
+            t = np.int64(hits.triangle[k]) - np.int64(tables.first_triangle[p])
+            bend = shape_operator(tables, p, t, hits.world_from_part[k], q, row3(facing, k), shape, k)
+            wide = np.float64(paths.state.width[k]) + np.float64(paths.state.spread[k]) * hits.t[k]
+            turned[k] = math.sqrt(bend) * wide
+        growth = np.float64(paths.state.spread[k]) + 2.0 * np.float64(turned[k])
+        if growth > WIDE and not through:
+            spread[k] += min(OF_GROWTH * growth * growth, ROUGHEST)
+
+
+@device
+def grow(out, first, end, change):
+    """The footprints of paths first..end, of a mirror, grow by `change` more a metre.
+
+    Not of what glass transmits: that may as well narrow them, and textures would blur.
+    """
+    for m in range(first, end):
+        out.state.spread[m] += change
