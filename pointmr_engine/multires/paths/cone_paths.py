@@ -120,7 +120,7 @@ class ConePaths(WideLamps):
         if bends:
             bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
         keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
-        if light.extended:
+        if light.extended and (bounce or not light.many):  # of many, the rays of first mirrors bring enough
             sample_widened(lobes, np.int64(n))
         if bounce:
             weak = alive & (now.throughput[:n].max(1) < STRONG)
@@ -139,11 +139,13 @@ class ConePaths(WideLamps):
 
     def _look_at_light(self, now, m: int, turn) -> None:
         """As SharingPaths; a lamp of its own finds no gaps between what neighbours' lobes see of a curved surface."""
-        if turn is None or turn[0] != LAMP or self.small is None and not self.light.extended:
+        behind = self.small is None
+        # what is weak shares lamps with its rays, whose lobes are as they are
+        if turn is None or turn[0] != LAMP or behind and (self.glints or not self.light.extended):
             super()._look_at_light(now, m, turn)
             return
         count, lobes = np.int64(self.lit_rows[:m].max(initial=-1) + 1), self.lobes
-        variance, times = (self.spread, BEHIND) if self.small is None else (self.curved, GAPS)
+        variance, times = (self.spread, BEHIND) if behind else (self.curved, GAPS)
         kinds = lobes.kind[:count].copy()
         widen_more(lobes, variance, times, self.alpha, count)
         super()._look_at_light(now, m, turn)
