@@ -1,5 +1,7 @@
 """Mirrors that show mirrors: footprints grow from one to the next, and lamps in them are neither dots nor lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,18 +21,13 @@ from pointmr_engine.shading.bsdf.layout import GLASS, LAMBERT, REFLECTION
 from pointmr_engine.shading.lobes import allocate
 from tests.engine.instanced import sphere
 from tests.engine.small_scenes import quad
+from tests.engine.test_raytrace_glass import ball
 from tests.engine.test_raytrace_light import DARK, image
 
 SIZE = (96, 72)
 POLISHED = principled("polished", base_color=(0.9, 0.9, 0.9), roughness=0.0, metallic=1.0)
 DULL = principled("dull", base_color=(0.3, 0.3, 0.3), roughness=0.0, metallic=1.0)
 PLACE = (-2, -3, 5)  # of what shines
-
-
-def ball(material, smooth=True) -> Mesh:
-    positions, triangles = sphere(48, 96)
-    normals = positions.astype(np.float32) if smooth else None
-    return Mesh("ball", positions, triangles, normals=normals, materials=(material,))
 
 
 def bulb(radius: float, strength: float) -> Mesh:
@@ -102,10 +99,11 @@ def followed(
     material_kind: int, radius: float, width: float, growth: float, smooth=True
 ) -> tuple[float, float]:
     """(turned, variance added) where a path of that width and growth meets a ball, of a lobe of that kind."""
+    mesh = ball(POLISHED) if smooth else replace(ball(POLISHED), normals=None)
     placed = np.concatenate([radius * np.eye(3), np.zeros((3, 1))], 1)
     geometry = compile_geometry(
         Scene(
-            Group("root", [], [Instances((Group("ball", [ball(POLISHED, smooth)]),), placed[None])]),
+            Group("root", [], [Instances((Group("ball", [mesh]),), placed[None])]),
             curved_mirror.cases()[0].view.camera(),
             [],
             DARK,
