@@ -1,5 +1,7 @@
 """Cones behind curved mirrors and clear glass: as exact rays leave them, and as the formula has a mirrored sphere."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -103,8 +105,11 @@ def test_little_else_than_a_mirror_keeps_its_footprint():
         assert own_of(kind, rough, curved) < 0.0
 
 
-def shape_of(mesh: Mesh, placed: np.ndarray, origin, target):
-    """(3, 3) shape operator and curved variance where a ray from origin to target meets the placed mesh."""
+def shape_of(mesh: Mesh, placed: np.ndarray, origin, target, width=0.01, mean=1.0):
+    """(3, 3) shape operator and curved variance where a ray from origin to target meets the placed mesh.
+
+    mean: length of the mean of the normals of the triangles that merged.
+    """
     placements = Instances((Group("ball", [mesh]),), placed[None])
     scene = Scene(
         Group("root", [], [placements]), curved_mirror.cases()[0].view.camera(), [], curved_mirror.DARK
@@ -118,9 +123,9 @@ def shape_of(mesh: Mesh, placed: np.ndarray, origin, target):
     assert hits.triangle[0] >= 0
     out, curved = np.zeros((1, 6), np.float32), np.zeros(1, np.float32)
     spread_of_curvature(
-        geometry.tables, hits, -rays.direction.astype(np.float32), np.full(1, 0.01, np.float32),
-        np.full(1, 4, np.int32), 4.0, np.zeros(1, np.int64), np.int64(1), curved, np.zeros(1, np.float32), out,
-        np.empty((3, 3)),
+        geometry.tables, hits, -rays.direction.astype(np.float32), np.full(1, width, np.float32),
+        np.full(1, 4, np.int32), 4.0, -np.float32(mean) * rays.direction.astype(np.float32), np.zeros(1, np.int64),
+        np.int64(1), curved, np.zeros(1, np.float32), out, np.empty((3, 3)),
     )  # fmt: skip
     a = out[0].astype(np.float64)
     return np.array([[a[0], a[1], a[2]], [a[1], a[3], a[4]], [a[2], a[4], a[5]]]), float(curved[0])
@@ -150,6 +155,22 @@ def test_a_stretched_sphere_bends_less_along_it():
     placed = np.concatenate([placed, np.zeros((3, 1))], 1)
     shape, _ = shape_of(curved_mirror.sphere(60), placed, (5.0, 0.013, 0.017), (0.0, 0.0, 0.0))
     np.testing.assert_allclose(shape, np.diag([0.0, 1.0, 1.0 / 9.0]), atol=0.05)
+
+
+def test_small_triangles_bend_by_what_merged_with_them():
+    """A footprint of half the sphere, of triangles that turn by 3 degrees: alone, it has the variance of one."""
+    placed, mesh = np.eye(3, 4), curved_mirror.sphere(60)
+    whole, _ = shape_of(mesh, placed, (3.0, 0.1, 0.2), (0.0, 0.0, 0.0))
+    alone, curved = shape_of(mesh, placed, (3.0, 0.1, 0.2), (0.0, 0.0, 0.0), width=1.0)
+    side = math.radians(180 / 60)
+    assert 0.5 * side**2 / 12.0 < curved < 2.5 * side**2 / 12.0
+    np.testing.assert_allclose(alone, whole * math.sqrt(curved * 12.0), rtol=0.02, atol=1e-4)
+    assert shape_of(mesh, placed, (3.0, 0.1, 0.2), (0.0, 0.0, 0.0), 1.0, 0.98)[1] == pytest.approx(
+        curved + 0.5 * (1.0 - 0.98**2), rel=1e-3
+    )
+    assert shape_of(mesh, placed, (3.0, 0.1, 0.2), (0.0, 0.0, 0.0), 1.0, 0.8)[1] == pytest.approx(
+        1 / 12, rel=0.02
+    )
 
 
 @pytest.mark.parametrize(("cones", "bound"), [(1, 0.012), (16, 0.005)])

@@ -119,7 +119,7 @@ def test_merged_normals_tell_how_they_differ():
     f = fragments(2, normal=normals, geometric=normals)
     assert merged(np.repeat([[0, 0, 1, 1]], 4, 0), f)[0] == 1
     assert f.normal[0] == pytest.approx([0, 0, -math.cos(a)], abs=1e-6)  # shorter than 1
-    assert f.geometric[0] == pytest.approx([0, 0, -1], abs=1e-6)
+    assert f.geometric[0] == pytest.approx([0, 0, -math.cos(a)], abs=1e-6)
 
 
 # Weights of a lobe's sub-rays

@@ -29,7 +29,7 @@ class Fragments(NamedTuple):
     position: np.ndarray  # (F, 3) float64
     # (F, 3) float32, length at most 1: less where the piece's normals differ; 0: to be looked up
     normal: np.ndarray
-    geometric: np.ndarray  # (F, 3) float32 unit normal of triangles
+    geometric: np.ndarray  # (F, 3) float32 unit normal of triangles; where fragments have merged, their mean
     albedo: np.ndarray  # (F, 3) float32
     emission: np.ndarray  # (F, 3) float32
     part: np.ndarray  # (F,) int32

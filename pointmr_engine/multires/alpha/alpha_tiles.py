@@ -25,7 +25,7 @@ from pointmr_engine.multires.alpha.a_buffer import (
     sort_cell,
 )
 from pointmr_engine.multires.alpha.layer_shapes import CUT, SIGMA
-from pointmr_engine.multires.fragments.merge import copy_fragment, join, mergeable, unit_normal
+from pointmr_engine.multires.fragments.merge import copy_fragment, join, mergeable
 from pointmr_engine.multires.tiles import CELL, TracedTiles
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, pixel_seed
@@ -172,7 +172,6 @@ def merge_cells(
     first[height * width] = groups
     for g in range(groups):
         f.count[g] = max(np.int64(weight[g] * OF_CELL + 0.5), 1)
-        unit_normal(f, g)
     return groups
 
 

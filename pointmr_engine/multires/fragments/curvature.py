@@ -61,11 +61,12 @@ def _along(v, n):
 
 @device
 def shape_operator(tables, p, t, m, q, facing, out, k):
-    """How the unit normal changes along a smooth triangle (Weingarten's map), to out[k]; returns its square.
+    """How the unit normal changes along a smooth triangle (Weingarten's map), to out[k]; returns (square, largest).
 
     out (N, 6) float32: the symmetric matrix xx, xy, xz, yy, yz, zz, per metre of world space; positive where the
     surface is convex to the side of `facing`. Its square: the mean over the triangle's edges of the squared
-    change per metre. q (3, 3) float64 to work in.
+    change per metre; largest: the squared change along an edge, of the edge where it is largest. q (3, 3) float64 to
+    work in.
     """
     cofactors(m, q)
     a, b = _normal_at(tables, p, t, q, 0.0, 0.0), _normal_at(tables, p, t, q, 1.0, 0.0)
@@ -79,9 +80,10 @@ def shape_operator(tables, p, t, m, q, facing, out, k):
     y = cross(n, x)
     length, fx, fy = dot(e, x), dot(f, x), dot(f, y)
     if not (dot(n, n) > 0.0 and fy * fy > 1e-12 * dot(f, f) and length * length > 1e-12 * dot(e, e)):
-        return 0.0
+        return 0.0, 0.0
     # along edges the change is known; across slivers it need not be what follows from them
     first, second, third = dot(b, b) / dot(e, e), dot(c, c) / dot(f, f), dot(d, d) / dot(g, g)
+    largest = max(dot(b, b), dot(c, c), dot(d, d))
     bx, by, cx, cy = dot(b, x), dot(b, y), dot(c, x), dot(c, y)
     xx, yy = bx / length, (cy - by * fx / length) / fy
     xy = 0.5 * (by / length + (cx - bx * fx / length) / fy)
@@ -96,31 +98,49 @@ def shape_operator(tables, p, t, m, q, facing, out, k):
         for s in range(r, 3):
             out[k, i] = xx * x[r] * x[s] + xy * (x[r] * y[s] + y[r] * x[s]) + yy * y[r] * y[s]
             i += 1
-    return (first + second + third) / 3.0
+    return (first + second + third) / 3.0, largest
+
+
+@device
+def bend_at(tables, hits, k, facing, out, q):
+    """`shape_operator` where hit k lies, to out[k]; 0 of triangles that are shaded flat. Arguments as there."""
+    p = np.int64(hits.part[k])
+    if tables.normals[p] == 0:
+        return 0.0, 0.0
+    t = np.int64(hits.triangle[k]) - np.int64(tables.first_triangle[p])
+    return shape_operator(tables, p, t, hits.world_from_part[k], q, facing, out, k)
 
 
 @uncounted
-def spread_of_curvature(tables, hits, facing, width, seen, whole, rows, count, curved, spread, shape, q):
+def spread_of_curvature(
+    tables, hits, facing, width, seen, whole, mean, rows, count, curved, spread, shape, q
+):  # fmt: skip
     """curved (N,) float32 at rows[0..count]: variance of the slopes of the normals over the footprints `width`.
 
     spread (N,) float32: the same where it is worth noting. shape (N, 6) float32: shape_operator, as far as fragments
     fill their footprints; stays 0 where triangles are shaded flat, which have no variance.
 
+    Neither is more than what the triangle's corners and what merged with it differ by: rims and seams bend less than
+    their footprints would if they went on as they are.
+
     hits: of those rows; facing (N, 3): normals to the viewer's side; tables: PartTables; seen (N,) int32: subpixels in
-    which each is seen, of which a footprint has `whole`. q (3, 3) float64 to work in.
+    which each is seen, of which a footprint has `whole`; mean (N, 3) float32: of the unit normals of the triangles that
+    merged into each. q (3, 3) float64 to work in.
     """
     for i in range(count):
         k = rows[i]
-        p = np.int64(hits.part[k])
-        if tables.normals[p] == 0:
-            continue
-        t = np.int64(hits.triangle[k]) - np.int64(tables.first_triangle[p])
-        bend = shape_operator(tables, p, t, hits.world_from_part[k], q, row3(facing, k), shape, k)
+        bend, largest = bend_at(tables, hits, np.int64(k), row3(facing, k), shape, q)
         filled = min(np.float64(seen[k]) / whole, 1.0)
         for a in range(6):
             shape[k, a] *= math.sqrt(filled)
         # variance is that of the mean direction: most curved surfaces bend about one axis
         variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0 * filled
+        # a small triangle says nothing of what lies beyond it; how much that differs has been seen
+        most = largest / 12.0 + 0.5 * max(1.0 - dot(row3(mean, k), row3(mean, k)), 0.0)
+        if variance > most:
+            for a in range(6):
+                shape[k, a] *= math.sqrt(most / variance)
+            variance = most
         curved[k] = min(variance, 2.0)
         if variance > FLATTEST:
             spread[k] = curved[k]

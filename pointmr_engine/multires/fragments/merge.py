@@ -85,17 +85,6 @@ def join(f: Fragments, g, k, stands):
         f.emission[g, c] += s * (f.emission[k, c] - f.emission[g, c])
 
 
-@device
-def unit_normal(f: Fragments, g):
-    """Geometric normal of fragment g to unit length."""
-    square = np.float32(0)
-    for c in range(3):
-        square += f.geometric[g, c] ** 2
-    inverse = np.float32(1) / np.sqrt(square) if square > 0 else np.float32(0)
-    for c in range(3):
-        f.geometric[g, c] *= inverse
-
-
 @uncounted
 def renumber(ids, width, height, into):
     """ids of a tile: what each fragment is part of."""
@@ -165,8 +154,6 @@ def merge_fragments(
                         into[k] = groups
                         groups += 1
     renumber(ids, width, height, into)
-    for g in range(groups):
-        unit_normal(f, g)
     return groups
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from pointmr_engine.forward.drawing.draw import triangle_to_camera
 from pointmr_engine.forward.reconstruction.fragments import Fragments, place_seen
 from pointmr_engine.forward.reconstruction.pixel_filter import Slopes
-from pointmr_engine.multires.fragments.merge import copy_fragment, join, mergeable, rank_of, unit_normal
+from pointmr_engine.multires.fragments.merge import copy_fragment, join, mergeable, rank_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed
 
@@ -92,8 +92,6 @@ def merge_views(
             rank[k] = _rank_of(f, k, cell[k])
             into[k] = groups
             groups += 1
-    for n in range(groups):
-        unit_normal(f, kept[n])
     return groups
 
 

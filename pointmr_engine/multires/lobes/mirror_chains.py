@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.fragments.curvature import shape_operator
+from pointmr_engine.multires.fragments.curvature import bend_at
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf.layout import GLASS, KIND_MASK, REFRACTION, TRANSLUCENT
 from pointmr_engine.shading.bsdf.vector import row3
@@ -48,12 +48,9 @@ def follow_footprints(tables, paths, hits, facing, lobes, alive, count, turned, 
         sees, through = _sees_mirrored(lobes, k)
         if not sees:
             continue
-        p = np.int64(hits.part[k])
-        if tables.normals[p] != 0:
-            t = np.int64(hits.triangle[k]) - np.int64(tables.first_triangle[p])
-            bend = shape_operator(tables, p, t, hits.world_from_part[k], q, row3(facing, k), shape, k)
-            wide = np.float64(paths.state.width[k]) + np.float64(paths.state.spread[k]) * hits.t[k]
-            turned[k] = math.sqrt(bend) * wide
+        bend, _ = bend_at(tables, hits, np.int64(k), row3(facing, k), shape, q)
+        wide = np.float64(paths.state.width[k]) + np.float64(paths.state.spread[k]) * hits.t[k]
+        turned[k] = math.sqrt(bend) * wide
         growth = np.float64(paths.state.spread[k]) + 2.0 * np.float64(turned[k])
         if growth > WIDE and not through:
             spread[k] += min(OF_GROWTH * growth * growth, ROUGHEST)

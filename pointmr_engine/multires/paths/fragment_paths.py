@@ -235,8 +235,8 @@ class FragmentPaths(Workspace):
         tables = self.stage.shader.geometry.tables
         spread_of_curvature(
             tables, hits, frame.smooth_normal, now.state.width, f.count[first : first + count],
-            np.float64(space.cell**2), triangles, np.int64(len(triangles)), self.curved, self.spread, self.shape,
-            np.empty((3, 3)),
+            np.float64(space.cell**2), f.geometric[first : first + count], triangles, np.int64(len(triangles)),
+            self.curved, self.spread, self.shape, np.empty((3, 3)),
         )  # fmt: skip
         self._look_at_clumps(space, hierarchy, now, first, clump)
         start_rays(now.rays, hits, self.frames, n_)
