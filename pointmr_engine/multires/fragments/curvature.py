@@ -130,17 +130,16 @@ def spread_of_curvature(
     for i in range(count):
         k = rows[i]
         bend, largest = bend_at(tables, hits, np.int64(k), row3(facing, k), shape, q)
-        filled = min(np.float64(seen[k]) / whole, 1.0)
-        for a in range(6):
-            shape[k, a] *= math.sqrt(filled)
         # variance is that of the mean direction: most curved surfaces bend about one axis
-        variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0 * filled
+        variance = bend * np.float64(width[k]) * np.float64(width[k]) / 12.0
+        part = min(np.float64(seen[k]) / whole, 1.0)
         # a small triangle says nothing of what lies beyond it; how much that differs has been seen
         most = largest / 12.0 + 0.5 * max(1.0 - dot(row3(mean, k), row3(mean, k)), 0.0)
-        if variance > most:
-            for a in range(6):
-                shape[k, a] *= math.sqrt(most / variance)
-            variance = most
+        if part * variance > most:
+            part = most / variance
+        for a in range(6):
+            shape[k, a] *= math.sqrt(part)
+        variance *= part
         curved[k] = min(variance, 2.0)
         if variance > FLATTEST:
             spread[k] = curved[k]
