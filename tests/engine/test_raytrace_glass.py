@@ -234,3 +234,25 @@ def test_shadows_edges_are_found_on_surfels():
     scene = Scene(root, Camera(look((0, -110, 40), (0, 0, 0)), clip_end=2000.0), [sun], DARK)
     found = render(scene, RenderSettings(48, 36, method="raytrace")).stats["counters"]
     assert found["surfels"] > 1000 and found["triangles"] == 0 and found["edge_rays"] > 100
+
+
+@pytest.mark.parametrize("shines", ["sun", "bulb"])
+def test_rough_glass_before_a_light_is_no_firefly_in_a_mirror(shines):
+    """Where it is seen by way of a metal floor; rays that chance sends to the light itself would be all its light."""
+    leaf = principled("leaf", base_color=(1.0, 0.6, 0.6), roughness=0.5, transmission_weight=0.65, ior=1.45)
+    parts = [
+        floor(metallic=1.0, roughness=0.1),
+        card("leaf", [(-3, 2, -1), (3, 2, -1), (3, 2, 3), (-3, 2, 3)], leaf),
+    ]
+    lights = []
+    if shines == "sun":
+        lights = [Light("SUN", look((0.5, 6, 3), (0, 0, 0)), power=5.0, angle=math.radians(0.53))]
+    else:
+        bulb = principled("bulb", emission_color=(1.0, 1.0, 1.0), emission_strength=300.0)
+        parts.append(card("bulb", [(-0.1, 6, 2.4), (0.1, 6, 2.4), (0.1, 6, 2.6), (-0.1, 6, 2.6)], bulb))
+    camera = Camera(look((0, -4, 1.5), (0, 0, -1)))
+    exact, ours = exact_and_ours(Scene(Group("root", parts), camera, lights, DARK), 12)
+    seen = slice(0, 16)
+    assert ours[:, seen].mean() == pytest.approx(exact[seen].mean(), rel=0.02)
+    assert ours[:, seen].max() < 1.4 * exact[seen].max()
+    assert ours[:, seen].std(0).mean() < 0.1 * exact[seen].mean()

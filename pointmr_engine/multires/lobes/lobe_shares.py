@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.lobes.lobe_view import lobe_pdf
+from pointmr_engine.multires.lobes.lobe_view import lobe_pdf, refracted_pdf, refraction
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
 from pointmr_engine.shading.bsdf.layout import (
@@ -15,6 +15,7 @@ from pointmr_engine.shading.bsdf.layout import (
     BECKMANN,
     GLASS,
     HAS_EVALUATION,
+    IOR,
     KIND_MASK,
     NORMAL,
     REFLECTION,
@@ -26,7 +27,6 @@ from pointmr_engine.shading.bsdf.layout import (
 )
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
-NARROW = 0.3  # roughness (GGX alpha) of refractions below which lamps behind first surfaces are left to rays
 BENT = 4.0  # squared roughnesses in the variance of normals up to which a lobe is a mirror that bends
 OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks for lamps
 
@@ -50,9 +50,9 @@ def share_with_lobes(
     """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
 
     Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
-    the sample against the lobe's own (lobe_view.lobe_pdf). With `glints`, they look for lamps that rays can meet, too,
-    where they reflect (SEES_LAMPS), and `behind` first surfaces where they refract narrowly: only a ray finds its way
-    through glass. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    the sample against the lobe's own (lobe_view.lobe_pdf, refracted_pdf). With `glints`, they look for lamps that rays
+    can meet, too (SEES_LAMPS), where they reflect, and where they refract `behind` first surfaces; what shines in first
+    refractions lies within their cones. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
     """
     for i in range(count):
         if not _is_shared(samples, i, glints):
@@ -68,8 +68,12 @@ def share_with_lobes(
                 if lamp and not mis_of_lamp[samples.index[i]]:
                     share = 1.0
                 elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
-                    narrow = behind and mean_roughness(lobes, k, np.int64(j)) < NARROW
-                    share = 1.0 if lamp and not narrow else 0.0
+                    share = 1.0 if lamp and not behind else 0.0
+                    if behind and pdf[i] > 0.0:
+                        ior, rough = np.float64(lobes.data[k, j, IOR]), mean_roughness(lobes, k, np.int64(j))
+                        axis, bend, _ = refraction(normal, wi, ior, rough)
+                        ratio = refracted_pdf(bend * bend, axis, w) / pdf[i]
+                        share = 1.0 / (1.0 + ratio * ratio)
                 elif integrated[k, j] and not lamp:
                     share = 0.0
                 elif pdf[i] > 0.0:

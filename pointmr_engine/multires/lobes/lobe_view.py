@@ -17,7 +17,7 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R1, sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
 from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
-from pointmr_engine.shading.bsdf.vector import row3
+from pointmr_engine.shading.bsdf.vector import combine, dot, normalized, row3
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 
 # LobeCones.alpha of rays: passing, or what a cone was
@@ -34,7 +34,8 @@ class LobeCones(NamedTuple):
     # (N,) float32 roughness: 0 a mirror, or clear; below 0: a ray instead of a cone, as below
     alpha: np.ndarray
     normal: np.ndarray  # (N, 3) float32 of the lobe where it reflects; 0 where it transmits
-    incoming: np.ndarray  # (N, 3) float32 to where the path came from
+    # (N, 3) float32 to where the path came from; of a lobe that transmits: the direction that it favours
+    incoming: np.ndarray
     # (N,) int8: 0 the whole lobe; 1 its core, whose next row is 2: what the same lobe sends beside its core
     part: np.ndarray
     weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
@@ -81,13 +82,46 @@ def lobe_pdf(alpha2, normal, incoming, direction):
 
 
 @device
+def refraction(normal, incoming, ior, rough):
+    """(direction, roughness of the mirror that spreads as much, whether it refracts) of a lobe that transmits.
+
+    Where all is reflected, what its roughness lets through goes along the surface.
+    """
+    inverse = 1.0 / ior if ior > 0.0 else 1.0
+    cosine = dot(normal, incoming)
+    square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
+    along = inverse * cosine - math.sqrt(max(square, 0.0))
+    d = combine(along, normal, -inverse, incoming)
+    if not square > 0.0:
+        d = normalized(d, normal)
+    return d, 0.5 * abs(1.0 - inverse) * rough, square > 0.0
+
+
+@device
+def refracted_pdf(alpha2, axis, direction):
+    """Density per solid angle of what a rough surface refracts about `axis`, about as wide as a mirror's lobe.
+
+    alpha: roughness of the mirror that spreads as much. GGX's slopes of half vectors, of a viewer along the normal;
+    0 beyond a right angle.
+    """
+    cosine = dot(axis, direction)
+    if not cosine > 0.0:
+        return 0.0
+    return distribution(
+        False, (1.0 - cosine * cosine) / (cosine * cosine) / (4.0 * alpha2), 0.0, 1.0, alpha2
+    ) / (4.0 * cosine * cosine * cosine)
+
+
+@device
 def pdf_of(lobes: LobeCones, k, alpha, direction):
-    """lobe_pdf of cone k's lobe, of roughness alpha, in a direction; inf where it transmits or is sharp."""
+    """Density of cone k's lobe, of roughness alpha, in a direction; inf where it is sharp."""
     n, w = lobes.normal, lobes.incoming
     nx, ny, nz = np.float64(n[k, 0]), np.float64(n[k, 1]), np.float64(n[k, 2])
-    if not alpha > 0.0 or nx * nx + ny * ny + nz * nz == 0.0:
+    if not alpha > 0.0:
         return math.inf
     incoming = (np.float64(w[k, 0]), np.float64(w[k, 1]), np.float64(w[k, 2]))
+    if nx * nx + ny * ny + nz * nz == 0.0:
+        return refracted_pdf(alpha * alpha, incoming, direction)
     return lobe_pdf(alpha * alpha, (nx, ny, nz), incoming, direction)
 
 

@@ -23,9 +23,9 @@ from pointmr_engine.multires.lobes.lobe_paths import (
     send_ray,
 )
 from pointmr_engine.multires.lobes.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
-from pointmr_engine.multires.lobes.lobe_shares import NARROW, mean_roughness
+from pointmr_engine.multires.lobes.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobes.lobe_throughput import passed_by
-from pointmr_engine.multires.lobes.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf
+from pointmr_engine.multires.lobes.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf, refracted_pdf, refraction
 from pointmr_engine.multires.lobes.mirror_chains import grow
 from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted
@@ -34,6 +34,7 @@ from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     BECKMANN,
+    HAS_EVALUATION,
     IOR,
     KIND_MASK,
     NORMAL,
@@ -165,6 +166,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         divides = bounce == 0 or (_largest(t) >= CLEAR and _all_clear(lobes, np.int64(k)))
         chosen = total < SPLIT or crowded or not divides
         glints = _largest(t) < glinting
+        sampled = bounce > 0 and lobes.flags[k] & HAS_EVALUATION != 0
         strong = STRONG if bounce == 0 else 1.0
         target = chance = 0.0
         if chosen:
@@ -216,7 +218,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 for _ in range(times):
                     m = _refract(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, g, f, wi, u, v, out, m, record,
-                        glints and bounce > 0, small[k], rough, ray, crowded, own, shape,
+                        glints and bounce > 0, sampled, small[k], rough, ray, crowded, own, shape,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
         if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
@@ -302,7 +304,7 @@ def _open_cones(
         record.ray[m] = small
         for c in range(3):
             record.normal[m, c] = normal[c]
-            record.incoming[m, c] = wi[c]
+            record.incoming[m, c] = d[c] if transmission else wi[c]
         m, part = m + 1, part + 1
     return m
 
@@ -329,34 +331,34 @@ def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, 
 
 @device
 def _refract(
-    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, small, rough, ray,
-    alone, own, shape,
+    paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, sampled, small, rough,
+    ray, alone, own, shape,
 ):  # fmt: skip
-    """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`."""
+    """The ray or the cone of a lobe that transmits; returns the next row. Arguments as of `_reflect`.
+
+    sampled: light samples look for what shines in it, too (lobe_shares.share_with_lobes).
+    """
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
-    cosine = dot(nm, wi)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
     ior = np.float64(lobes.data[k, j, IOR])
-    inverse = 1.0 / ior if ior > 0.0 else 1.0
-    bend = 0.5 * abs(1.0 - inverse) * rough  # of a mirror that spreads what it reflects as much
+    d, bend, refracts = refraction(nm, wi, ior, rough)
+    seen = np.int64(SEES_LAMPS) if glints else np.int64(0)
     if ray:
         wo, weight, _, _ = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
                      RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
-            if glints and rough < NARROW:
-                out.flags[m] |= SEES_LAMPS
+            out.flags[m] |= seen
+            if sampled:
+                out.bsdf_pdf[m] = refracted_pdf(bend * bend, d, wo)
             m += 1
         return m
-    square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
-    if not square > 0.0:
+    if not refracts:
         return m
-    along = inverse * cosine - math.sqrt(square)
-    d = (along * nm[0] - inverse * wi[0], along * nm[1] - inverse * wi[1], along * nm[2] - inverse * wi[2])
-    flags = np.int64(SEES_LAMPS) if glints and rough < NARROW else np.int64(0)
+    pdf = BY_LOBE if sampled and singular == 0 else math.inf
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
-        flags, math.inf, 0.0 if singular else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record,
-        own, shape, inverse,
+        seen, pdf, 0.0 if singular else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record, own, shape,
+        1.0 / ior if ior > 0.0 else 1.0,
     )  # fmt: skip

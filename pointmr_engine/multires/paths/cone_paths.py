@@ -114,14 +114,14 @@ class ConePaths(WideLamps):
         bends = bounce == 0 and self.light.bends
         if bounce == 0 and self.light.shares:
             self.shared_light.see(self._cone_widths(now, n))
-        self._scatter(now, n, alive, bounce, self.curved[:n] > 0.0 if bends else self.none)
         lobes, light = self.lobes, self.light
+        if light.extended and (bounce or not light.many):  # of many, the rays of first mirrors bring enough
+            sample_widened(lobes, np.int64(n))
+        self._scatter(now, n, alive, bounce, self.curved[:n] > 0.0 if bends else self.none)
         lobes.count[:n][~alive] = 0
         if bends:
             bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
         keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
-        if light.extended and (bounce or not light.many):  # of many, the rays of first mirrors bring enough
-            sample_widened(lobes, np.int64(n))
         if bounce:
             weak = alive & (now.throughput[:n].max(1) < STRONG)
             self.stage, self.glints, self.repeats = self.weak_stage, True, 1
