@@ -11,7 +11,7 @@ import numpy as np
 from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.cones.cone_walk import visible
 from pointmr_engine.multires.cones.cones import Cones
-from pointmr_engine.multires.lens.lens import sharpest
+from pointmr_engine.multires.lens.lens import refracts, sharpest
 from pointmr_engine.multires.sharing.world_rays import WORTH
 from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
@@ -55,6 +55,9 @@ class ConeLight:
         self.shares_world = (WORLD, 0) in self.rays.turns
         self.shares_lamps = None in self.rays.turns
         self.shares_lobes = bool(np.isfinite(sharpest(sampler.programs)).any()) and stage.limits.glossy > 0
+        self.shares_refractions = (
+            self.shares_lobes and stage.limits.transmission > 0 and refracts(sampler.programs)
+        )
         # a mirror never shows a lamp that is a point
         self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and bool(arrays.lamps.mis.all())
         self.bends = self.extended and lamps > 0 and not self.many

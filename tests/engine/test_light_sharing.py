@@ -293,6 +293,33 @@ def test_shared_light_of_lamps_is_as_bright_and_quieter(monkeypatch, floor, quie
     assert shared_.var(0).mean() * quieter < single.var(0).mean()
 
 
+@pytest.mark.parametrize("roughness", [0.6, 0.9])
+def test_what_rough_glass_lets_through_is_shared_as_bright_and_quieter(monkeypatch, roughness):
+    """A frosted pane before a sky of which a half shines, and a floor: every ray sees another part of them."""
+    glass = principled(
+        "glass", base_color=(1.0, 1.0, 1.0), roughness=roughness, transmission_weight=1.0, ior=1.5
+    )
+    floor = quad(4.0, -1.5, principled("floor", base_color=(0.7, 0.4, 0.2)), "floor")
+    scene = Scene(Group("root", [floor, quad(2.0, material=glass)]), from_above(), [], half_a_sky())
+
+    def images() -> np.ndarray:
+        cache = Cache()
+        seeds = (RenderSettings(40, 30, method="raytrace", seed=s) for s in range(6))
+        return np.array([render(scene, s, cache=cache).passes["combined"][..., :3] for s in seeds], float)
+
+    shared_, begin = images(), ConeLight.__init__
+
+    def alone(self, *args):
+        begin(self, *args)
+        assert self.shares_refractions
+        self.shares_refractions = False
+
+    monkeypatch.setattr(ConeLight, "__init__", alone)
+    single = images()
+    assert shared_.mean() == pytest.approx(single.mean(), rel=0.01)
+    assert shared_.var(0).mean() * 4.0 < single.var(0).mean()
+
+
 def striped_cloth(width: float) -> Material:
     """Stripes across x, light ones and black ones, under a sheen."""
     nodes = {

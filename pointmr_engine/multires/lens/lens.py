@@ -160,6 +160,18 @@ def sharpest(programs: list) -> np.ndarray:
     )
 
 
+def refracts(programs: list) -> bool:
+    """Whether any material has a lobe that may refract."""
+    return any(_refracts(leaf) for p in programs for leaf in p.leaves)
+
+
+def _refracts(leaf) -> bool:
+    if leaf.kind in (kinds.PRINCIPLED, kinds.METALLIC):
+        names, name = kinds.COLUMNS[leaf.kind], "transmission_weight"
+        return name in names and (leaf.column_varying.get(name) or leaf.template[0, names.index(name)] > 0.0)
+    return leaf.kind in (kinds.GLASS, kinds.REFRACTION)
+
+
 def _alpha(leaf) -> float:
     """Of the sharpest lobe that a leaf (program.LeafPlan) may have; 0 where it varies."""
     if leaf.kind not in (kinds.PRINCIPLED, kinds.METALLIC, kinds.GLOSSY, kinds.GLASS, kinds.REFRACTION):

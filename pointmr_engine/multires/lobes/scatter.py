@@ -116,8 +116,8 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, bent, curved, shape, turned, limit, glinting, shares, first_share,
-                  passed):  # fmt: skip
+                  record, integrated, small, bent, curved, shape, turned, limit, glinting, shares, refractions,
+                  first_share, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
@@ -126,8 +126,9 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples look for lamps.
     curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface. turned (N,): as of
     mirror_chains.follow_footprints; 0 there.
-    limit: roughness above which lobes take rays; glinting: throughput below which lobes look for lamps. shares: what
-    rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not at all). passed
+    limit: roughness above which lobes take rays; glinting: throughput below which lobes look for lamps. shares,
+    refractions: what rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not at
+    all). passed
     (2, L, 3) float64 to work in.
     """
     m = np.int64(0)
@@ -136,6 +137,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         if sharing:
             p = frames.position
             clear_share(shares, first_share + k, p[k, 0], p[k, 1], p[k, 2])
+            if len(refractions.worth) > 0:
+                clear_share(refractions, first_share + k, p[k, 0], p[k, 1], p[k, 2])
         if not alive[k]:
             continue
         crowded = m + (2 * MOST + 1) * np.int64(lobes.count[k]) + (n - k) > room
@@ -207,11 +210,24 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
                 grow(out, begin, m, 2.0 * turned[k])
+            ray = takes_ray(
+                lobes,
+                np.int64(k),
+                np.int64(j),
+                rough,
+                limit,
+                total if chosen else _largest(g),
+                small[k],
+                strong,
+            )
+            if bounce == 0 and len(refractions.worth) > 0 and ray and _largest(g) > 0.0:
+                nm = load3(lobes.data, k, j, NORMAL)
+                _, bend, _ = refraction(nm, wi, np.float64(lobes.data[k, j, IOR]), rough)
+                add_lobe(refractions, first_share + k, g, nm, bend)
             f = _branch(chosen, _largest(g), before, target, total)
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
-                ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, _largest(g), small[k], strong)
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(g), small[k]) if ray and bounce == 0 and not crowded else 1
                 g, f = (g[0] / times, g[1] / times, g[2] / times), f / times

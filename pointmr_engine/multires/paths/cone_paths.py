@@ -203,7 +203,8 @@ class ConePaths(WideLamps):
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
             self.integrated, self.none if self.small is None else self.small, bent, self.curved, self.shape,
-            self.turned, self.limit, glinting, self.shared_light.lobes, np.int64(self.first), self.passed,
+            self.turned, self.limit, glinting, self.shared_light.lobes,
+            self.shared_light.refractions, np.int64(self.first), self.passed,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:

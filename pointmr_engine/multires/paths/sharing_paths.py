@@ -19,7 +19,7 @@ from pointmr_engine.multires.sharing.world_rays import (
 from pointmr_engine.raytracing.integrator import NEXT
 from pointmr_engine.raytracing.lights import LAMP, WORLD
 from pointmr_engine.raytracing.paths import allocate_samples
-from pointmr_engine.shading.points import RAY_CAMERA, RAY_REFLECTION
+from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_REFLECTION
 
 MIRRORED = 4  # times as many rays to the world from what mirrors and clear glass show, which nothing shares
 
@@ -34,7 +34,7 @@ class SharingPaths(EdgePaths):
         self.shared_light = SharedLight(light, room)
         self.asks, self.begins = None, False  # lights that first surfaces ask for now; whether rays begin
         if light.shares_lobes:
-            self.every = allocate_samples(2 * room)
+            self.every = allocate_samples((1 + self.shared_light.sides) * room)
         self.peers = np.ones(room)  # cones that share what a fragment receives
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
         self.repeats = light.world_rays  # rays of a point behind first surfaces to the world: see MIRRORED
@@ -46,9 +46,9 @@ class SharingPaths(EdgePaths):
 
     def leave(self, then, n: int, base: int, count: int) -> None:
         if self.light.shares_lobes:
-            reflected = (then.state.kind[:n] & RAY_REFLECTION) != 0
-            shared = reflected & (self.waiting_cones().alpha[:n] == WITHIN_LOBE)
-            self.shared_light.separate(self.every, then.slot[:n], shared, base, count)
+            kind, within = then.state.kind[:n], self.waiting_cones().alpha[:n] == WITHIN_LOBE
+            side = within * np.where(kind & RAY_REFLECTION != 0, 1, np.where(kind & RAY_DIFFUSE == 0, 2, 0))
+            self.shared_light.separate(self.every, then.slot[:n], side, base, count)
 
     def receive(self, first: int, base: int, count: int) -> None:
         super().receive(first, base, count)

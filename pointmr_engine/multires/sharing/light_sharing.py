@@ -60,6 +60,8 @@ class Change(NamedTuple):
 # the split sphere has 1 for the turn of the world, and this for what its gradient leaves of it; lamps have no gradient;
 # mirrored, light turns twice as far, of which a half is what wires, scans and cars were measured to need
 OF_WORLD, OF_LAMPS, OF_LOBE = Change(2.0, 0.0), Change(4.0, 0.0), Change(math.sqrt(2.0), 1.0)
+# what is refracted turns less than a mirror that spreads light as much would turn it
+OF_REFRACTION = Change(0.25 * math.sqrt(2.0), 1.0)
 
 
 @uncounted

@@ -19,7 +19,13 @@ from pointmr_engine.multires.sharing.light_shares import (
     take_reflected,
     take_turns,
 )
-from pointmr_engine.multires.sharing.light_sharing import OF_LAMPS, OF_LOBE, OF_WORLD, share_light
+from pointmr_engine.multires.sharing.light_sharing import (
+    OF_LAMPS,
+    OF_LOBE,
+    OF_REFRACTION,
+    OF_WORLD,
+    share_light,
+)
 from pointmr_engine.raytracing.lights import LAMP
 
 CLOSEST = 0.5  # widths of a cone: how near things may be for what they do to light
@@ -29,20 +35,22 @@ POINT_WIDTH = 0.01  # of light from one direction: nothing is as sharp as it in 
 class SharedLight:
     """One thread's shares. Rows are the tile's fragments; a batch is its fragments first..first + n.
 
-    world, lamps, lobes: Shares, empty where there is nothing of the kind. `room`: samples of fragments under way at
-    once; rays that lobes share bring their light to samples of their own, `room` rows behind those of their fragments.
+    world, lamps, lobes, refractions: Shares, empty where there is nothing of the kind. `room`: samples of fragments
+    under way at once; rays that lobes share bring their light to samples of their own, `room` rows behind those of
+    their fragments, and those of lobes that refract as many rows behind these.
     """
 
     def __init__(self, light, room: int):
         self.has_world, self.has_lamps, self.has_lobes = (
             light.shares_world, light.shares_lamps, light.shares_lobes
         )  # fmt: skip
-        self.room = room
-        self.world = self.lamps = self.lobes = allocate_shares(0)
-        self.lobe_rays, self.lobe_near = np.zeros((2, room if self.has_lobes else 0), np.float32)
+        self.has_refractions = self.has_lobes and light.shares_refractions
+        self.room, self.sides = room, int(self.has_lobes) + int(self.has_refractions)
+        self.world = self.lamps = self.lobes = self.refractions = allocate_shares(0)
+        self.lobe_rays, self.lobe_near = np.zeros((2, self.sides * room), np.float32)
         self.own = np.zeros((room if self.has_world else 0, 3))  # of the world's light, what is not shared
         self.lamp_width = np.ones(room)
-        self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(room, np.float32)
+        self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(self.sides * room, np.float32)
         self.mis = light.lights.arrays.lamps.mis
 
     def start_tile(self, fragments: int) -> None:
@@ -55,6 +63,8 @@ class SharedLight:
             self.lamps = allocate_shares(fragments)
         if self.has_lobes:
             self.lobes = allocate_shares(fragments)
+        if self.has_refractions:
+            self.refractions = allocate_shares(fragments)
 
     def begin(self, lobes, throughput, position, first: int, n: int) -> None:
         """The fragments of a batch have received nothing of the world and of lamps. Lobes begin as they scatter."""
@@ -140,15 +150,20 @@ class SharedLight:
             if len(shares.rays):
                 shares.light[own] *= part[:, None].astype(np.float32)
 
-    def separate(self, samples, slots: np.ndarray, shared: np.ndarray, base: int, count: int) -> None:
-        """Paths with slots (n,) that are `shared` (n,) bool get samples of their own, copies of base..base + count."""
-        own, copies = slice(base, base + count), slice(self.room + base, self.room + base + count)
-        for column in samples:
-            column[copies] = column[own]
-        samples.radiance[copies] = 0.0
-        self.lobe_closest[own] = self.closest[:count]
-        self.lobe_rays[own] = self.lobe_near[own] = 0.0
-        slots[shared] += self.room
+    def separate(self, samples, slots: np.ndarray, side: np.ndarray, base: int, count: int) -> None:
+        """Paths with slots (n,) that are shared get samples of their own, copies of base..base + count.
+
+        side (n,) int: 0 of those that are not, 1 of lobes that reflect, 2 of those that refract.
+        """
+        own = slice(base, base + count)
+        for k in range(self.sides):
+            rays, copies = (slice(k * self.room + base, k * self.room + base + count) for k in (k, k + 1))
+            for column in samples:
+                column[copies] = column[own]
+            samples.radiance[copies] = 0.0
+            self.lobe_closest[rays] = self.closest[:count]
+            self.lobe_rays[rays] = self.lobe_near[rays] = 0.0
+        slots += self.room * np.where(side <= self.sides, side, 0).astype(slots.dtype)
 
     def count_lobe_rays(self, slots, hits, n: int) -> None:
         """Note what paths 0..n with samples of their own met first."""
@@ -159,17 +174,22 @@ class SharedLight:
 
     def take_lobes(self, samples, first: int, base: int, count: int) -> None:
         """What the rays of fragments first..first + count have found is shared; their samples begin at `base`."""
-        to, own = slice(first, first + count), slice(base, base + count)
-        self.lobes.light[to] += samples.radiance[self.room + base : self.room + base + count]
-        self.lobes.rays[to] += self.lobe_rays[own]
-        self.lobes.nearness[to] += self.lobe_near[own]
+        to = slice(first, first + count)
+        for k, shares in enumerate((self.lobes, self.refractions)[: self.sides]):
+            begin = k * self.room + base
+            own = slice(begin, begin + count)
+            shares.light[to] += samples.radiance[self.room + begin : self.room + begin + count]
+            shares.rays[to] += self.lobe_rays[own]
+            shares.nearness[to] += self.lobe_near[own]
 
     def give(self, space, count: int) -> None:
         """Add what the tile's fragments 0..count receive together to space.light."""
         f, image = space.fragments, space.image
         side = image.subpixels // image.cone
         shape = tuple(side * n for n in space.used.shape)
-        for change, shares in ((OF_WORLD, self.world), (OF_LAMPS, self.lamps), (OF_LOBE, self.lobes)):
+        for change, shares in (
+            (OF_WORLD, self.world), (OF_LAMPS, self.lamps), (OF_LOBE, self.lobes), (OF_REFRACTION, self.refractions)
+        ):  # fmt: skip
             if len(shares.rays):
                 eye = image.camera.world_from_camera[:, 3]
                 if not image.view.perspective:
