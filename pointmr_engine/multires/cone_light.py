@@ -15,7 +15,7 @@ from pointmr_engine.multires.lens.lens import refracts, sharpest
 from pointmr_engine.multires.sharing.world_rays import WORTH
 from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
-from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SPOT, SUN, TAN_SPREAD, compile_lamps
+from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps, is_beam
 from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
 
 # shadow rays of a fragment to the world, to emitters, to one of many lights
@@ -113,5 +113,4 @@ def _is_wide(lamps, k: int) -> bool:
     row, shape = lamps.values[k], lamps.shape[k]
     if shape == SUN:
         return row[CONE] > 1.0 - math.cos(SHARP)
-    beam = row[SPOT] != 0.0 or math.isfinite(row[TAN_SPREAD])
-    return shape not in (POINT, DISTANT) and not beam and bool(lamps.cast_shadow[k])
+    return shape not in (POINT, DISTANT) and not is_beam(lamps, k) and bool(lamps.cast_shadow[k])

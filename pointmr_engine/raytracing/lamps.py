@@ -50,6 +50,11 @@ class Lamps(NamedTuple):
     source: np.ndarray  # (L,) int32: index into scene.lights
 
 
+def is_beam(lamps: Lamps, k: int) -> bool:
+    """Whether lamp k shines into a part of its half space alone: a spot, or an area light with a spread."""
+    return lamps.values[k, SPOT] != 0.0 or math.isfinite(lamps.values[k, TAN_SPREAD])
+
+
 def compile_lamps(lights: list[Light]) -> tuple[Lamps, list[str]]:
     """Lamps of all lights that shine, and warnings about those that cannot."""
     rows, warnings = [], []

@@ -93,11 +93,13 @@ def test_all_subpixels_of_a_fragment_may_stand_for_it():
 # Edges of shadows
 
 
-def edges(light, pixel=(0, 1, 5), open_light=(1.0, 1.0, 1.0), subpixels=(64, 64, 64)) -> list[bool]:
+def edges(
+    light, pixel=(0, 1, 5), open_light=(1.0, 1.0, 1.0), subpixels=(64, 64, 64), beam=False
+) -> list[bool]:
     """Of three fragments in a tile of 1 x 6 pixels."""
     edge, low, high = np.empty(3, np.bool_), np.empty((1, 6)), np.empty((1, 6))
     find_edges(
-        np.array(pixel), (1, 6), np.array(open_light), np.array(light), np.array(subpixels), np.int64(3), low,
+        np.array(pixel), (1, 6), np.array(open_light), np.array(light), np.array(subpixels), beam, np.int64(3), low,
         high, edge,
     )  # fmt: skip
     return edge.tolist()
@@ -109,6 +111,26 @@ def test_edges_lie_between_neighbours_that_differ():
     assert edges((1.0, 0.0, 0.0), pixel=(0, 5, 5)) == [False, False, False]
     assert edges((1.0, 0.0, 0.0), subpixels=(64, LARGE - 1, 64)) == [True, False, False]
     assert edges((1.0, 0.0, 0.0), open_light=(1.0, 0.0, 1.0)) == [False, False, False]  # it faces away
+
+
+def test_what_a_beam_missed_by_chance_lies_at_an_edge_as_what_it_met():
+    met, missed = (1.0, 0.0, 0.0), (1.0, 1.0, 0.0)
+    found = edges(met, pixel=(0, 1, 1), open_light=missed, beam=True)
+    assert found == [True, True, True]
+    assert edges(met, pixel=(0, 1, 1), open_light=missed) == [True, True, False]
+
+
+@pytest.mark.parametrize("shape", ["DISK", "SQUARE"])
+def test_shadows_in_a_beam_are_as_bright_as_by_random_rays(shape):
+    """A part of the lamp shines on each point of a floor under bars: the rim of its light, and shadows in it."""
+    lamp = Light("AREA", look((0, 0, 4), (0, 0, 0)), shape=shape, size_x=0.8, size_y=0.8, power=100.0,
+                 spread=math.radians(25))  # fmt: skip
+    scene = replace(fence(), lights=[lamp])
+    exact = image(scene, method="distributed", samples=512)
+    ours = np.mean([image(scene, seed=s) for s in range(8)], 0)
+    rim = (exact.mean(-1) < 0.3 * exact.max()) & (exact.mean(-1) > 0.01 * exact.max())
+    assert rim.sum() > 50
+    assert ours[rim].mean() == pytest.approx(exact[rim].mean(), rel=0.03)
 
 
 def fence() -> Scene:

@@ -14,6 +14,7 @@ from pointmr_engine.multires.fragments.looks import look_around, same_surface
 from pointmr_engine.multires.paths.fragment_paths import FragmentPaths
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import walk
+from pointmr_engine.raytracing.lamps import is_beam
 from pointmr_engine.raytracing.lights import LAMP
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import allocate_frames, frames
@@ -26,12 +27,13 @@ DIFFERENT = 0.1  # of a lamp's light: shares of neighbours between which an edge
 
 
 @uncounted
-def find_edges(pixel, shape, open_light, light, subpixels, count, low, high, edge):
+def find_edges(pixel, shape, open_light, light, subpixels, beam, count, low, high, edge):
     """edge (N,) bool: of fragments 0..count, those that are large and lie where the lamp is partly hidden.
 
     pixel (N,) int64: their pixels' numbers in a tile of `shape` (rows, columns); open_light (N,) float64: what they
-    receive of the lamp without shadows, 0 where nothing; light (N,) float64: with them. low, high (rows, columns)
-    float64 to work in.
+    receive of the lamp without shadows, 0 where nothing; light (N,) float64: with them. beam: only parts of the lamp
+    may shine on a fragment, which may have received nothing by chance: chosen by what they received, they would be too
+    dark. low, high (rows, columns) float64 to work in.
     """
     rows, columns = shape
     low[:] = math.inf
@@ -44,7 +46,7 @@ def find_edges(pixel, shape, open_light, light, subpixels, count, low, high, edg
             low[j, i] = min(low[j, i], share)
             high[j, i] = max(high[j, i], share)
     for k in range(count):
-        if not open_light[k] > 0.0 or subpixels[k] < LARGE:
+        if not (beam or open_light[k] > 0.0) or subpixels[k] < LARGE:
             continue
         j, i = pixel[k] // columns, pixel[k] % columns
         least, most = math.inf, -math.inf
@@ -106,8 +108,8 @@ class EdgePaths(FragmentPaths):
         got = (radiance[:n] - before).sum(1)
         edge = np.empty(n, np.bool_)
         find_edges(
-            self.pixel, space.used.shape, self.open_light, got, f.count[self.first : self.first + n], np.int64(n),
-            self.low, self.high, edge,
+            self.pixel, space.used.shape, self.open_light, got, f.count[self.first : self.first + n],
+            is_beam(self.stage.lights.arrays.lamps, turn[1]), np.int64(n), self.low, self.high, edge,
         )  # fmt: skip
         rows = np.flatnonzero(edge)
         if not len(rows):
