@@ -44,6 +44,8 @@ class WorldMap(NamedTuple):
     even: float  # share of the samples but for the sun's that goes by the cosine at the surface, not by the texels
     irradiance: float  # what the world gives to a surface that sees all of it, its mean over all normals
     towards: np.ndarray  # (3,) float64: by how much that changes with the normal, roughly (linear in it)
+    # from how wide an angle most of it comes, against a hemisphere's: the root of the solid angles' ratio, up to 1
+    width: float
 
 
 class Environment:
@@ -84,11 +86,11 @@ class Environment:
         return np.nan_to_num(out, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _no_map(mode: int = OFF, irradiance: float = 0.0) -> WorldMap:
+def _no_map(mode: int = OFF, irradiance: float = 0.0, width: float = 1.0) -> WorldMap:
     """What needs no texels: nothing, or samples that all go by the cosine."""
     empty = np.zeros((1, 2), np.float32)
     rows, edges = np.array([0.0, 1.0]), np.array([-1.0, 1.0])
-    return WorldMap(mode, rows, empty, edges, np.zeros(5), 1.0, irradiance, np.zeros(3))
+    return WorldMap(mode, rows, empty, edges, np.zeros(5), 1.0, irradiance, np.zeros(3), width)
 
 
 def _image_width(world: World) -> int:
@@ -136,6 +138,7 @@ def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | Non
     mean = float(of_rows @ along[:, 2])
     if not mean > 0.0:
         return _no_map()
+    square = float(of_rows @ np.einsum("ij,ij->i", weight, weight, dtype=np.float64))
     towards = of_rows @ (along * np.stack([np.sin(angle), np.sin(angle), -np.cos(angle)], 1))
     sun_row = np.zeros(5)
     if sun is not None and sun[1] > 0.0:
@@ -143,19 +146,22 @@ def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | Non
         disc = evaluate_background(program, sun[0][None, :], 0)
         of_sun = float(np.abs(disc).mean()) * sun_row[3] / 2.0
         mean, towards = mean + of_sun, towards + of_sun * sun_row[:3]
+        square += float(np.abs(disc).mean()) * of_sun
+    # of light that comes evenly from a part of all directions, the square of its mean over the mean of its square
+    wide = min(math.sqrt(2.0 * mean * mean / square), 1.0)
     # spherical harmonics to the first order (Ramamoorthi and Hanrahan 2001)
     irradiance, towards = math.pi * mean, 2.0 * math.pi * towards
     radiance, weight = weight, _widened(weight)
     even = _even_share(radiance, weight, solid_angle, azimuth, angle)
     if even == 1.0:
-        return _no_map(MAP, irradiance)._replace(sun=sun_row, towards=towards)
+        return _no_map(MAP, irradiance, wide)._replace(sun=sun_row, towards=towards)
     columns = np.zeros((height, width + 1), np.float32)
     total = np.cumsum(weight, axis=1, dtype=np.float64)
     row_weight = total[:, -1] * solid_angle
     total /= np.where(total[:, -1:] > 0.0, total[:, -1:], 1.0)
     columns[:, 1:] = total
     rows = np.concatenate([[0.0], np.cumsum(row_weight)])
-    return WorldMap(MAP, rows / rows[-1], columns, edges, sun_row, even, irradiance, towards)
+    return WorldMap(MAP, rows / rows[-1], columns, edges, sun_row, even, irradiance, towards, wide)
 
 
 def _even_share(radiance, weight, solid_angle, azimuth, angle) -> float:

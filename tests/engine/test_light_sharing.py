@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from benchmarks.closed_forms.stage import look_at
 from pointmr_engine import (
+    Camera,
     Group,
     Light,
     Material,
@@ -28,6 +29,7 @@ from pointmr_engine.multires.sharing.light_shares import (
     take_turns,
 )
 from pointmr_engine.multires.sharing.light_sharing import OF_LOBE, OF_WORLD, REACH, share_light
+from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import at, from_above, half_a_sky, quad
@@ -291,6 +293,43 @@ def test_shared_light_of_lamps_is_as_bright_and_quieter(monkeypatch, floor, quie
     single = images()
     assert shared_.mean() == pytest.approx(single.mean(), rel=0.01)
     assert shared_.var(0).mean() * quieter < single.var(0).mean()
+
+
+def sky_with_a_sun(cosine: float, sun: float, sky: float = 0.0) -> World:
+    """A disc about the z axis, up to an angle of that cosine, before an even sky."""
+    world = half_a_sky()
+    nodes = world.graph.nodes
+    nodes["half"] = Node(
+        "math", {"value": Link("axes", "z"), "value_b": cosine}, {"operation": "GREATER_THAN"}
+    )
+    nodes["sun"] = Node("math", {"value": Link("half", "value"), "value_b": sun}, {"operation": "MULTIPLY"})
+    nodes["sky"] = Node("math", {"value": Link("sun", "value"), "value_b": sky}, {"operation": "ADD"})
+    nodes["b"] = Node("background", {"strength": Link("sky", "value")})
+    return world
+
+
+@pytest.mark.parametrize("part", [0.02, 0.1, 0.5])
+def test_light_of_a_part_of_the_sky_comes_from_as_wide_an_angle(part):
+    lit = Environment(sky_with_a_sun(1.0 - 2.0 * part, 3.0)).map.width
+    assert lit == pytest.approx(np.sqrt(2.0 * part), rel=0.03)
+    assert Environment(sky_with_a_sun(1.0 - 2.0 * part, 3.0, 1.0)).map.width > lit or part == 0.5
+    assert Environment(uniform_world((0.5, 0.5, 0.5))).map.width == 1.0
+
+
+def test_a_sun_in_the_sky_throws_shadows_with_edges():
+    """A card's shadow on a floor, of whose light the sun brings two thirds: not blurred by what fragments share."""
+    things = [quad(20.0, material=principled("floor", base_color=(0.6, 0.5, 0.4), specular_ior_level=0.0)),
+              quad(1.0, 1.5, principled("card", base_color=(0.2, 0.2, 0.2), specular_ior_level=0.0), "card")]  # fmt: skip
+    camera = Camera(look_at((0, -5, 3), (0, 0, 0.5)))
+    scene = Scene(Group("root", things), camera, [], sky_with_a_sun(0.998, 500.0, 1.0))
+    cache = Cache()
+
+    def picture(**values) -> np.ndarray:
+        return render(scene, RenderSettings(48, 32, **values), cache=cache).passes["combined"][..., :3]
+
+    exact = picture(method="distributed", samples=2048)
+    ours = np.mean([picture(method="raytrace", seed=s) for s in range(8)], 0)
+    assert np.abs(ours - exact).mean() < 0.04 * exact.mean()
 
 
 @pytest.mark.parametrize("roughness", [0.6, 0.9])

@@ -72,15 +72,16 @@ def add_lobe(shares: Shares, row, passed, normal, rough):
 
 
 @uncounted
-def begin_shares(lobes, throughput, position, first, count, shares):
+def begin_shares(lobes, throughput, position, width, first, count, shares):
     """Rows first..first + count of `shares`: what the points 0..count reflect diffusely, nothing received yet.
 
     Matt lobes share what they reflect, if they have one normal and nothing lets light through; others keep theirs.
+    width: angle from which light of the kind arrives, against a hemisphere's.
     """
     for k in range(count):
         row = first + k
         clear_share(shares, row, position[k, 0], position[k, 1], position[k, 2])
-        shares.width[row] = shares.worth[row] = np.float32(1)
+        shares.width[row], shares.worth[row] = np.float32(width), np.float32(1)
         single = True
         normal = np.int64(-1)
         for j in range(np.int64(lobes.count[k])):

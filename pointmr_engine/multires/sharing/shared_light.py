@@ -29,6 +29,8 @@ from pointmr_engine.multires.sharing.light_sharing import (
 from pointmr_engine.raytracing.lights import LAMP
 
 CLOSEST = 0.5  # widths of a cone: how near things may be for what they do to light
+# angle from which light of the world counts as coming: what a small sun lights besides its sky is to be shared, too
+NARROWEST = 0.1
 POINT_WIDTH = 0.01  # of light from one direction: nothing is as sharp as it in an image
 
 
@@ -52,6 +54,7 @@ class SharedLight:
         self.lamp_width = np.ones(room)
         self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(self.sides * room, np.float32)
         self.mis = light.lights.arrays.lamps.mis
+        self.world_width = max(light.lights.environment.map.width, NARROWEST)
 
     def start_tile(self, fragments: int) -> None:
         """Room for the fragments of a tile."""
@@ -68,9 +71,9 @@ class SharedLight:
 
     def begin(self, lobes, throughput, position, first: int, n: int) -> None:
         """The fragments of a batch have received nothing of the world and of lamps. Lobes begin as they scatter."""
-        for shares in (self.world, self.lamps):
+        for shares, width in ((self.world, self.world_width), (self.lamps, 1.0)):
             if len(shares.rays):
-                begin_shares(lobes, throughput, position, np.int64(first), np.int64(n), shares)
+                begin_shares(lobes, throughput, position, width, np.int64(first), np.int64(n), shares)
 
     def see(self, width: np.ndarray) -> None:
         """The batch's fragments are seen by cones of that width (n,), metres."""
