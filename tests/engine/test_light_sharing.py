@@ -318,10 +318,11 @@ def test_light_of_a_part_of_the_sky_comes_from_as_wide_an_angle(part):
 
 def test_a_sun_in_the_sky_throws_shadows_with_edges():
     """A card's shadow on a floor, of whose light the sun brings two thirds: not blurred by what fragments share."""
-    things = [quad(20.0, material=principled("floor", base_color=(0.6, 0.5, 0.4), specular_ior_level=0.0)),
-              quad(1.0, 1.5, principled("card", base_color=(0.2, 0.2, 0.2), specular_ior_level=0.0), "card")]  # fmt: skip
+    matt = {"specular_ior_level": 0.0}
+    floor = quad(20.0, material=principled("floor", base_color=(0.6, 0.5, 0.4), **matt))
+    card = quad(1.0, 1.5, principled("card", base_color=(0.2, 0.2, 0.2), **matt), "card")
     camera = Camera(look_at((0, -5, 3), (0, 0, 0.5)))
-    scene = Scene(Group("root", things), camera, [], sky_with_a_sun(0.998, 500.0, 1.0))
+    scene = Scene(Group("root", [floor, card]), camera, [], sky_with_a_sun(0.998, 500.0, 1.0))
     cache = Cache()
 
     def picture(**values) -> np.ndarray:
