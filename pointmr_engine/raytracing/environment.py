@@ -54,6 +54,7 @@ class Environment:
     def __init__(self, world: World, every: bool = False):
         self.program: Program = compile_graph(world.graph, "background")
         self.visibility = world.visibility
+        self.image_width = _image_width(world)
         self.warnings = list(self.program.warnings)
         self.constant = self.program.constant_emission
         self.black = not self.program.emissive or self.constant == (0.0, 0.0, 0.0)
@@ -63,7 +64,7 @@ class Environment:
         if self.constant is not None:
             self.map = _no_map(UNIFORM, math.pi * abs(float(np.mean(self.constant))))
             return
-        width = world.map_resolution if world.sampling == "MANUAL" else _image_width(world)
+        width = world.map_resolution if world.sampling == "MANUAL" else self.image_width
         self.map = _build_map(self.program, min(max(int(width), 4), _LARGEST_MAP), _find_sun(world))
 
     @property

@@ -44,3 +44,16 @@ def half_a_sky() -> World:
         "b": Node("background", {"strength": Link("half", "value")}),
     }
     return World(Graph(nodes, surface=Link("b", "background")))
+
+
+def sky_with_a_sun(cosine: float, sun: float, sky: float = 0.0, axis: str = "z") -> World:
+    """A disc about an axis, up to an angle of that cosine, before an even sky. Colour: the node's own, 0.8."""
+    world = half_a_sky()
+    nodes = world.graph.nodes
+    nodes["half"] = Node(
+        "math", {"value": Link("axes", axis), "value_b": cosine}, {"operation": "GREATER_THAN"}
+    )
+    nodes["sun"] = Node("math", {"value": Link("half", "value"), "value_b": sun}, {"operation": "MULTIPLY"})
+    nodes["sky"] = Node("math", {"value": Link("sun", "value"), "value_b": sky}, {"operation": "ADD"})
+    nodes["b"] = Node("background", {"strength": Link("sky", "value")})
+    return world

@@ -32,7 +32,7 @@ from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.texture import Image
 from pointmr_engine.scene.world import World
 from tests.engine.instanced import accelerate, cast, random_mesh, random_transforms, sphere
-from tests.engine.small_scenes import at, from_above, quad
+from tests.engine.small_scenes import at, from_above, quad, sky_with_a_sun
 
 SIZE = RenderSettings(width=48, height=36, method="forward", samples=64, pixel_filter="box")
 DULL = principled("dull", base_color=(0.8, 0.4, 0.2), specular_ior_level=0.0)
@@ -232,6 +232,20 @@ def test_lobes_see_the_world():
         m[1, 3] = -5.0
         scene = Scene(Group("root", [ball(material)]), Camera(m), [], world)
         assert difference(scene, samples_per_pixel=4.0) < limit
+
+
+@pytest.mark.parametrize("axis", ["x", "z"])
+@pytest.mark.parametrize("part", [1e-4, 1e-3, 0.05])
+def test_suns_in_the_world_keep_their_light_in_all_maps(axis, part):
+    """Discs down to six texels of the sharpest map, at a pole of it or not."""
+    light = WorldLight(Environment(sky_with_a_sun(1.0 - 2.0 * part, 1.0 / part, 1.0, axis)))
+    assert light.mean == pytest.approx(1.6, rel=0.04)
+    for maps in (light.glossy, light.glossy_rays):
+        for m in np.flatnonzero(maps.alpha < 0.07):  # rows of coarser ones are wider than what lies at a pole
+            width = int(maps.width[m])
+            texels = maps.texels[maps.first[m] :][: width * width // 2].reshape(width // 2, width, 3)
+            heights = np.diff(-np.cos(np.linspace(0.0, np.pi, width // 2 + 1)))
+            assert (texels.mean((1, 2)) * heights).sum() / 2.0 == pytest.approx(1.6, rel=0.1)
 
 
 def test_maps_of_a_uniform_world_are_uniform():

@@ -32,7 +32,7 @@ from pointmr_engine.multires.sharing.light_sharing import OF_LOBE, OF_WORLD, REA
 from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
-from tests.engine.small_scenes import at, from_above, half_a_sky, quad
+from tests.engine.small_scenes import at, from_above, half_a_sky, quad, sky_with_a_sun
 
 SUBPIXELS = 8
 PIXEL = 3.0 / 48 * 36 / 50  # metres, of images of 48 x 32 by a camera 3 m above
@@ -293,19 +293,6 @@ def test_shared_light_of_lamps_is_as_bright_and_quieter(monkeypatch, floor, quie
     single = images()
     assert shared_.mean() == pytest.approx(single.mean(), rel=0.01)
     assert shared_.var(0).mean() * quieter < single.var(0).mean()
-
-
-def sky_with_a_sun(cosine: float, sun: float, sky: float = 0.0) -> World:
-    """A disc about the z axis, up to an angle of that cosine, before an even sky."""
-    world = half_a_sky()
-    nodes = world.graph.nodes
-    nodes["half"] = Node(
-        "math", {"value": Link("axes", "z"), "value_b": cosine}, {"operation": "GREATER_THAN"}
-    )
-    nodes["sun"] = Node("math", {"value": Link("half", "value"), "value_b": sun}, {"operation": "MULTIPLY"})
-    nodes["sky"] = Node("math", {"value": Link("sun", "value"), "value_b": sky}, {"operation": "ADD"})
-    nodes["b"] = Node("background", {"strength": Link("sky", "value")})
-    return world
 
 
 @pytest.mark.parametrize("part", [0.02, 0.1, 0.5])

@@ -16,12 +16,15 @@ from pointmr_engine import (
     RenderSettings,
     Scene,
     emission,
+    principled,
     render,
     uniform_world,
 )
+from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.texture import Image
-from tests.engine.small_scenes import quad
+from tests.engine.small_scenes import quad, sky_with_a_sun
+from tests.engine.test_raytrace_light import card, image
 
 ANGLE = math.radians(40)
 INNER = np.s_[12:36, 16:48, :3]
@@ -130,3 +133,15 @@ def test_gloss_shows_what_a_sun_and_a_sky_light_without_a_choice_between_them():
     sky = uniform_world((1.0, 1.0, 1.0))
     both, by_sun, by_sky = noise([sun], sky), noise([sun], uniform_world(BLACK)), noise([], sky)
     assert both < 1.7 * (by_sun + by_sky)
+
+
+@pytest.mark.parametrize(("roughness", "least"), [(0.3, 0.97), (0.5, 0.94), (0.7, 0.94)])
+def test_rough_metal_shows_a_sun_of_the_sky_as_bright_as_by_random_rays(roughness, least):
+    """What rays within lobes see of it is blurred, but has no tails besides those that the rays were drawn from."""
+    metal = principled("metal", base_color=(0.2, 0.2, 0.2), roughness=roughness, metallic=1.0)
+    wall = card("wall", [(0, -9, -9), (0, 9, -9), (0, 9, 9), (0, -9, 9)], metal)
+    camera = Camera(look((5, 0, 0), (0, 0, 0)))
+    scene, cache = Scene(Group("root", [wall]), camera, [], sky_with_a_sun(0.9, 10.0, 0.5, "x")), Cache()
+    exact = image(scene, cache, method="distributed", samples=1024).mean()
+    ours = np.mean([image(scene, cache, seed=s).mean() for s in range(4)])
+    assert least < ours / exact < 1.02

@@ -18,6 +18,7 @@ from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.light import Light
 
 BASE = 1024  # columns of the sharpest map
+FINEST = 4  # places a side of its texels where the world has finer detail
 # Halved maps, read between their texels, stand for narrow lobes: of GGX roughness SMOOTHEST / columns if so much of
 # each is mixed with as much of the next coarser ones. An edge is then right to 0.3 % (7 % with one map, without tails).
 SMOOTHEST, MIXED = 4.19, (0.35, 0.45, 0.11, 0.09)
@@ -59,6 +60,8 @@ class WorldLight:
             if id(base[kind]) not in made:
                 made[id(base[kind])] = _filtered(base[kind])
         self.diffuse, self.glossy, self.transmission = (made[id(base[kind])] for kind in kinds)
+        blurred = {id(b): _blurred(b) for b in base.values()}
+        self.glossy_rays, self.transmission_rays = blurred[id(base[GLOSSY])], blurred[id(base[TRANSMISSION])]
         texels = base[DIFFUSE]
         self.mean = np.zeros(3)  # radiance over all directions
         if texels is not None:
@@ -97,13 +100,14 @@ def _frame(z: np.ndarray) -> np.ndarray:
 
 def _directions(width: int) -> np.ndarray:
     """(width / 2 * width, 3) unit directions of a map's texels."""
-    angle = (np.arange(width // 2) + 0.5) * (2.0 * math.pi / width)
-    azimuth = (np.arange(width) + 0.5) * (2.0 * math.pi / width) - math.pi
-    d = np.empty((width // 2, width, 3))
-    d[..., 0] = np.sin(angle)[:, None] * np.cos(azimuth)
-    d[..., 1] = np.sin(angle)[:, None] * np.sin(azimuth)
-    d[..., 2] = -np.cos(angle)[:, None]
-    return d.reshape(-1, 3)
+    return _towards(np.arange(width // 2 * width), width)
+
+
+def _towards(texel: np.ndarray, width: int, u: float = 0.5, v: float = 0.5) -> np.ndarray:
+    """(N, 3) unit directions of the place u, v in [0, 1) within each of the texels (N,) of a map."""
+    row, column = np.divmod(texel, width)
+    angle, azimuth = (row + v) * (2.0 * math.pi / width), (column + u) * (2.0 * math.pi / width) - math.pi
+    return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), -np.cos(angle)], 1)
 
 
 def _radiance_map(environment: Environment, kind: int) -> np.ndarray:
@@ -112,11 +116,39 @@ def _radiance_map(environment: Environment, kind: int) -> np.ndarray:
         return np.broadcast_to(
             np.asarray(environment.constant, np.float32), (UNIFORM // 2, UNIFORM, 3)
         ).copy()
-    d = _directions(BASE)
-    out = np.empty((len(d), 3), np.float32)
-    for first in range(0, len(d), 1 << 16):
-        out[first : first + (1 << 16)] = environment.radiance(d[first : first + (1 << 16)], kind)
+    # suns of images are smaller than texels
+    finer = min(-(-environment.image_width // BASE), FINEST)
+    out = _means(environment, kind, np.arange(BASE // 2 * BASE), finer)
+    if finer == 1:
+        sharp = np.flatnonzero(_differs(out.reshape(BASE // 2, BASE, 3)))
+        out[sharp] = _means(environment, kind, sharp, FINEST)
     return out.reshape(BASE // 2, BASE, 3)
+
+
+def _means(environment: Environment, kind: int, texel: np.ndarray, n: int) -> np.ndarray:
+    """(N, 3) float32 mean radiance of n x n places in each of the texels (N,) of the sharpest map."""
+    out = np.empty((len(texel), 3), np.float32)
+    for first in range(0, len(texel), 1 << 16):
+        some = slice(first, first + (1 << 16))
+        total, weight = np.zeros((len(texel[some]), 3)), np.zeros((len(texel[some]), 1))
+        for k in range(n * n):
+            d = _towards(texel[some], BASE, (k % n + 0.5) / n, (k // n + 0.5) / n)
+            size = np.sqrt(1.0 - np.minimum(d[:, 2:] ** 2, 1.0))  # of a row
+            total += size * environment.radiance(d, kind)
+            weight += size
+        out[some] = total / weight
+    return out
+
+
+def _differs(texels: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool: texels that have less than half, or more than twice, of what one beside them has."""
+    bright = np.abs(texels).sum(2)
+    found = np.zeros(bright.shape, np.bool_)
+    for axis in (0, 1):
+        before, t, after = (np.moveaxis(a, 0, axis) for a in _with_neighbours(bright, axis))
+        low, high = np.minimum(np.minimum(before, after), t), np.maximum(np.maximum(before, after), t)
+        found |= high > 2.0 * low
+    return found
 
 
 def _filtered(base: np.ndarray | None) -> WorldMaps:
@@ -136,6 +168,23 @@ def _filtered(base: np.ndarray | None) -> WorldMaps:
         maps.append(_lobe_filtered(source, SOURCE if a < 0.3 else SOURCE // 2, a))
         alpha.append(a)
     maps.append(source if source.shape[1] <= UNIFORM else _lobe_filtered(source, SOURCE // 2, None))
+    return _behind_each_other(maps, alpha)
+
+
+def _blurred(base: np.ndarray | None) -> WorldMaps:
+    """The sharpest map and halved ones, about as wide as lobes of those roughnesses, but without their tails.
+
+    For rays that were drawn from lobes: a lobe's tails would count twice.
+    """
+    if base is None:
+        return _filtered(None)
+    maps = [base]
+    while maps[-1].shape[1] > COARSEST:
+        maps.append(_halved(maps[-1]))
+    return _behind_each_other([*maps, maps[-1]], [0.0] + [SMOOTHEST / m.shape[1] for m in maps[1:]])
+
+
+def _behind_each_other(maps: list[np.ndarray], alpha: list[float]) -> WorldMaps:
     sizes = np.array([m.shape[0] * m.shape[1] for m in maps], np.int64)
     return WorldMaps(
         np.ascontiguousarray(np.concatenate([m.reshape(-1, 3) for m in maps]), np.float32),

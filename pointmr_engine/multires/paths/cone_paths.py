@@ -78,6 +78,7 @@ class ConePaths(WideLamps):
         # behind first surfaces, lobes and samples share the lamps but where these have cones
         self.glinting, self.glints = np.inf if light.many else STRONG, False
         self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
+        self.by_ray = np.zeros(n, np.bool_)  # what is met by rays within lobes, and not by their cones
         self.chances = np.zeros(n)  # by which cones choose among their sub-rays
         self.going = 0
 
@@ -245,6 +246,7 @@ class ConePaths(WideLamps):
             self.lobe_alpha, self.behind, self.around,
         )  # fmt: skip
         total = sum(counts)
+        self.by_ray[:total] = np.arange(total) >= total - counts[2]
         if counts[2]:
             rays = slice(total - counts[2], total)
             walk.intersect(light.acceleration, met.rays, hits, rays.start, rays.stop)
@@ -278,7 +280,10 @@ class ConePaths(WideLamps):
 
     def seen_world(self, now, rays, rows: np.ndarray, bit: int):
         """The world, blurred by the lobes that see it; light samples look for it at diffuse lobes alone."""
-        maps = {GLOSSY: self.light.world.glossy, TRANSMISSION: self.light.world.transmission}.get(bit)
+        world = self.light.world
+        maps = {
+            GLOSSY: (world.glossy, world.glossy_rays), TRANSMISSION: (world.transmission, world.transmission_rays)
+        }.get(bit)  # fmt: skip
         if maps is None:
             return self.stage.lights.world_radiance(rays.direction[rows], bit), 1.0
         weight = np.where(now.bsdf_pdf[rows] == BY_SAMPLES, 0.0, 1.0)
@@ -286,11 +291,11 @@ class ConePaths(WideLamps):
         sharp = self.lobe_alpha[rows] <= 0.0
         if sharp.any():
             radiance[sharp] = self.stage.lights.world_radiance(rays.direction[rows[sharp]], bit)
-        wide = rows[~sharp]
-        if len(wide):
-            seen = np.empty((len(wide), 3), np.float32)
-            look_at_world(maps, rays.direction, self.lobe_alpha, wide, seen)
-            radiance[~sharp] = seen
+        for some, of in zip((~sharp & ~self.by_ray[rows], ~sharp & self.by_ray[rows]), maps, strict=True):
+            if some.any():
+                seen = np.empty((int(some.sum()), 3), np.float32)
+                look_at_world(of, rays.direction, self.lobe_alpha, rows[some], seen)
+                radiance[some] = seen
         return radiance, weight
 
 
