@@ -22,6 +22,10 @@ FINEST = 4  # places a side of its texels where the world has finer detail
 # Halved maps, read between their texels, stand for narrow lobes: of GGX roughness SMOOTHEST / columns if so much of
 # each is mixed with as much of the next coarser ones. An edge is then right to 0.3 % (7 % with one map, without tails).
 SMOOTHEST, MIXED = 4.19, (0.35, 0.45, 0.11, 0.09)
+AT_POLES = (
+    0.8,
+    1.25,
+)  # factors of light there, that keep it when a map is halved, between which they are right
 COARSEST = 8  # columns of the coarsest map that is mixed
 BLURRED = (0.1, 0.2, 0.4, 0.7, 1.0)  # roughnesses of maps that are filtered with the lobe itself ...
 SOURCE = 64  # ... from the map of so many columns
@@ -204,7 +208,13 @@ def _solid_angle(width: int) -> np.ndarray:
 def _halved(texels: np.ndarray) -> np.ndarray:
     """A map of half as many rows and columns: means by quadratic splines, lest it matter where edges lie in texels."""
     size = _solid_angle(texels.shape[1])
-    return (_thinned(texels * size) / _thinned(np.broadcast_to(size, texels.shape))).astype(np.float32)
+    out = (_thinned(texels * size) / _thinned(np.broadcast_to(size, texels.shape))).astype(np.float32)
+    # at the poles rows are of such different size that a sun would lose a tenth each time
+    larger = _solid_angle(out.shape[1])
+    for fine, cap in ((slice(0, 4), slice(0, 2)), (slice(-4, None), slice(-2, None))):
+        before, after = (texels * size)[fine].sum((0, 1)), (out * larger)[cap].sum((0, 1))
+        out[cap] *= np.clip(before / np.where(after > 0.0, after, before + 1e-30), *AT_POLES)
+    return out
 
 
 def _thinned(texels: np.ndarray) -> np.ndarray:
