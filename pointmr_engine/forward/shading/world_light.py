@@ -22,10 +22,8 @@ FINEST = 4  # places a side of its texels where the world has finer detail
 # Halved maps, read between their texels, stand for narrow lobes: of GGX roughness SMOOTHEST / columns if so much of
 # each is mixed with as much of the next coarser ones. An edge is then right to 0.3 % (7 % with one map, without tails).
 SMOOTHEST, MIXED = 4.19, (0.35, 0.45, 0.11, 0.09)
-AT_POLES = (
-    0.8,
-    1.25,
-)  # factors of light there, that keep it when a map is halved, between which they are right
+# factors of light there, that keep it when a map is halved, between which they are right
+AT_POLES = 0.8, 1.25
 COARSEST = 8  # columns of the coarsest map that is mixed
 BLURRED = (0.1, 0.2, 0.4, 0.7, 1.0)  # roughnesses of maps that are filtered with the lobe itself ...
 SOURCE = 64  # ... from the map of so many columns
@@ -59,13 +57,10 @@ class WorldLight:
                 base[kind] = _radiance_map(environment, kind)
         if environment.map.sun[4] > 0.0 and base[DIFFUSE] is not None:
             self._take_sun(environment, base)
-        made: dict[int, WorldMaps] = {}
-        for kind in kinds:
-            if id(base[kind]) not in made:
-                made[id(base[kind])] = _filtered(base[kind])
+        halved = {id(b): _halvings(b) for b in base.values()}
+        made, blurred = ({k: of(h) for k, h in halved.items()} for of in (_filtered, _blurred))
         self.diffuse, self.glossy, self.transmission = (made[id(base[kind])] for kind in kinds)
-        blurred = {id(b): _blurred(b) for b in base.values()}
-        self.glossy_rays, self.transmission_rays = blurred[id(base[GLOSSY])], blurred[id(base[TRANSMISSION])]
+        self.glossy_rays, self.transmission_rays = (blurred[id(base[kind])] for kind in kinds[1:])
         texels = base[DIFFUSE]
         self.mean = np.zeros(3)  # radiance over all directions
         if texels is not None:
@@ -155,13 +150,17 @@ def _differs(texels: np.ndarray) -> np.ndarray:
     return found
 
 
-def _filtered(base: np.ndarray | None) -> WorldMaps:
-    """All maps made from the sharpest one (None: black)."""
-    if base is None:
-        base = np.zeros((UNIFORM // 2, UNIFORM, 3), np.float32)
-    halved = [base]
-    while halved[-1].shape[1] > COARSEST:
-        halved.append(_halved(halved[-1]))
+def _halvings(base: np.ndarray | None) -> list[np.ndarray]:
+    """The sharpest map (None: black) and those of half as many rows and columns each, as far as they are mixed."""
+    maps = [np.zeros((UNIFORM // 2, UNIFORM, 3), np.float32) if base is None else base]
+    while maps[-1].shape[1] > COARSEST:
+        maps.append(_halved(maps[-1]))
+    return maps
+
+
+def _filtered(halved: list[np.ndarray]) -> WorldMaps:
+    """All maps for lobes, made from the sharpest one and its halvings."""
+    base = halved[0]
     sharp = [m for m in halved if m.shape[1] >= SOURCE] or [base]
     source = sharp[-1]
     maps, alpha = [base], [0.0]
@@ -175,17 +174,13 @@ def _filtered(base: np.ndarray | None) -> WorldMaps:
     return _behind_each_other(maps, alpha)
 
 
-def _blurred(base: np.ndarray | None) -> WorldMaps:
-    """The sharpest map and halved ones, about as wide as lobes of those roughnesses, but without their tails.
+def _blurred(halved: list[np.ndarray]) -> WorldMaps:
+    """The sharpest map and its halvings, about as wide as lobes of those roughnesses, but without their tails.
 
     For rays that were drawn from lobes: a lobe's tails would count twice.
     """
-    if base is None:
-        return _filtered(None)
-    maps = [base]
-    while maps[-1].shape[1] > COARSEST:
-        maps.append(_halved(maps[-1]))
-    return _behind_each_other([*maps, maps[-1]], [0.0] + [SMOOTHEST / m.shape[1] for m in maps[1:]])
+    alpha = [0.0] + [SMOOTHEST / m.shape[1] for m in halved[1:]]
+    return _behind_each_other([*halved, halved[-1]], alpha)
 
 
 def _behind_each_other(maps: list[np.ndarray], alpha: list[float]) -> WorldMaps:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.lobes.lobe_view import lobe_pdf, refracted_pdf, refraction
+from pointmr_engine.multires.lobes.lobe_view import inverse_ior, lobe_pdf, refracted_pdf, refraction
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
 from pointmr_engine.shading.bsdf.layout import (
@@ -15,7 +15,6 @@ from pointmr_engine.shading.bsdf.layout import (
     BECKMANN,
     GLASS,
     HAS_EVALUATION,
-    IOR,
     KIND_MASK,
     NORMAL,
     REFLECTION,
@@ -70,8 +69,8 @@ def share_with_lobes(
                 elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
                     share = 1.0 if lamp and not behind else 0.0
                     if behind and pdf[i] > 0.0:
-                        ior, rough = np.float64(lobes.data[k, j, IOR]), mean_roughness(lobes, k, np.int64(j))
-                        axis, bend, _ = refraction(normal, wi, ior, rough)
+                        rough = mean_roughness(lobes, k, np.int64(j))
+                        axis, bend, _ = refraction(normal, wi, inverse_ior(lobes, k, np.int64(j)), rough)
                         ratio = refracted_pdf(bend * bend, axis, w) / pdf[i]
                         share = 1.0 / (1.0 + ratio * ratio)
                 elif integrated[k, j] and not lamp:

@@ -16,6 +16,7 @@ from pointmr_engine.multires.cones.cones import Cones, direction_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R1, sample_1d
 from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
+from pointmr_engine.shading.bsdf.layout import IOR
 from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
 from pointmr_engine.shading.bsdf.vector import combine, dot, normalized, row3
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
@@ -82,12 +83,18 @@ def lobe_pdf(alpha2, normal, incoming, direction):
 
 
 @device
-def refraction(normal, incoming, ior, rough):
+def inverse_ior(lobes, k, j):
+    """Index of refraction before the surface over that behind it, of lobe j of point k."""
+    ior = np.float64(lobes.data[k, j, IOR])
+    return 1.0 / ior if ior > 0.0 else 1.0
+
+
+@device
+def refraction(normal, incoming, inverse, rough):
     """(direction, roughness of the mirror that spreads as much, whether it refracts) of a lobe that transmits.
 
-    Where all is reflected, what its roughness lets through goes along the surface.
+    inverse: inverse_ior. Where all is reflected, what its roughness lets through goes along the surface.
     """
-    inverse = 1.0 / ior if ior > 0.0 else 1.0
     cosine = dot(normal, incoming)
     square = 1.0 - inverse * inverse * (1.0 - cosine * cosine)
     along = inverse * cosine - math.sqrt(max(square, 0.0))

@@ -25,7 +25,14 @@ from pointmr_engine.multires.lobes.lobe_paths import (
 from pointmr_engine.multires.lobes.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobes.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobes.lobe_throughput import passed_by
-from pointmr_engine.multires.lobes.lobe_view import BY_LOBE, STRAIGHT, lobe_pdf, refracted_pdf, refraction
+from pointmr_engine.multires.lobes.lobe_view import (
+    BY_LOBE,
+    STRAIGHT,
+    inverse_ior,
+    lobe_pdf,
+    refracted_pdf,
+    refraction,
+)
 from pointmr_engine.multires.lobes.mirror_chains import grow
 from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted
@@ -35,7 +42,6 @@ from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     BECKMANN,
     HAS_EVALUATION,
-    IOR,
     KIND_MASK,
     NORMAL,
     REFLECTION,
@@ -210,19 +216,11 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
                 grow(out, begin, m, 2.0 * turned[k])
-            ray = takes_ray(
-                lobes,
-                np.int64(k),
-                np.int64(j),
-                rough,
-                limit,
-                total if chosen else _largest(g),
-                small[k],
-                strong,
-            )
+            largest = total if chosen else _largest(g)
+            ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
             if bounce == 0 and len(refractions.worth) > 0 and ray and _largest(g) > 0.0:
                 nm = load3(lobes.data, k, j, NORMAL)
-                _, bend, _ = refraction(nm, wi, np.float64(lobes.data[k, j, IOR]), rough)
+                _, bend, _ = refraction(nm, wi, inverse_ior(lobes, np.int64(k), np.int64(j)), rough)
                 add_lobe(refractions, first_share + k, g, nm, bend)
             f = _branch(chosen, _largest(g), before, target, total)
             before += _largest(g)
@@ -357,8 +355,8 @@ def _refract(
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
-    ior = np.float64(lobes.data[k, j, IOR])
-    d, bend, refracts = refraction(nm, wi, ior, rough)
+    inverse = inverse_ior(lobes, k, j)
+    d, bend, refracts = refraction(nm, wi, inverse, rough)
     seen = np.int64(SEES_LAMPS) if glints else np.int64(0)
     if ray:
         wo, weight, _, _ = draw_direction(lobes, k, j, wi, True, u, v)
@@ -376,5 +374,5 @@ def _refract(
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
         seen, pdf, 0.0 if singular else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record, own, shape,
-        1.0 / ior if ior > 0.0 else 1.0,
+        inverse,
     )  # fmt: skip
