@@ -22,11 +22,13 @@ FINEST = 4  # places a side of its texels where the world has finer detail
 # Halved maps, read between their texels, stand for narrow lobes: of GGX roughness SMOOTHEST / columns if so much of
 # each is mixed with as much of the next coarser ones. An edge is then right to 0.3 % (7 % with one map, without tails).
 SMOOTHEST, MIXED = 4.19, (0.35, 0.45, 0.11, 0.09)
-# factors of light there, that keep it when a map is halved, between which they are right
-AT_POLES = 0.8, 1.25
 COARSEST = 8  # columns of the coarsest map that is mixed
 BLURRED = (0.1, 0.2, 0.4, 0.7, 1.0)  # roughnesses of maps that are filtered with the lobe itself ...
 SOURCE = 64  # ... from the map of so many columns
+AT_POLES = (
+    0.8,
+    1.25,
+)  # least and greatest factor that makes up for what halved maps lose, or gain, at their poles
 UNIFORM = 4  # columns of the map of a world that is the same everywhere
 
 

@@ -166,9 +166,9 @@ def refracts(programs: list) -> bool:
 
 
 def _refracts(leaf) -> bool:
-    if leaf.kind in (kinds.PRINCIPLED, kinds.METALLIC):
-        names, name = kinds.COLUMNS[leaf.kind], "transmission_weight"
-        return name in names and (leaf.column_varying.get(name) or leaf.template[0, names.index(name)] > 0.0)
+    if leaf.kind == kinds.PRINCIPLED:
+        name = "transmission_weight"
+        return leaf.column_varying.get(name) or leaf.template[0, kinds.COLUMNS[leaf.kind].index(name)] > 0.0
     return leaf.kind in (kinds.GLASS, kinds.REFRACTION)
 
 
