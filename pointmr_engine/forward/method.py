@@ -17,6 +17,7 @@ from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
 from pointmr_engine.forward.drawing.subpixels import make_view
 from pointmr_engine.forward.reconstruction import scattered
 from pointmr_engine.forward.reconstruction.pixel_filter import filter_taps
+from pointmr_engine.forward.selection.near_cut_outs import NearCutOuts
 from pointmr_engine.forward.selection.walk import HARDLY, Hierarchy
 from pointmr_engine.forward.shading.emissive_lamps import emissive_lamps
 from pointmr_engine.forward.shading.lambert import SimpleShading
@@ -45,7 +46,8 @@ class Sampler:
         self.baker = Baker(geometry, programs)
         self.looks = self.baker.constant_looks()
         self.environment = Environment(scene.world)
-        self.cut_outs, self.densest_cut_outs = build_cut_outs(geometry, programs)
+        self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(geometry, programs)
+        self.near_cut_outs = NearCutOuts(sources)
         self.emissive_lamps = emissive_lamps(geometry, programs)
         self.corners = triangle_corners(self.octree)
         self.world_light = WorldLight(self.environment)
@@ -175,6 +177,11 @@ class Image:
 
     def prepare(self, tell) -> None:
         """What comes before the tiles; tell() may raise to cancel."""
+        size = self.subpixels * self.settings.width, self.subpixels * self.settings.height
+        self.cut_outs = self.sampler.near_cut_outs.refined(
+            self.cut_outs, self.cut_outs is self.sampler.densest_cut_outs, self.view, self.hierarchy(),
+            self.camera.camera_from_world, size, tell,
+        )  # fmt: skip
         if self.settings.forward.reconstruction == "analytic":
             from pointmr_engine.forward.analytic import PolygonSpace, VisiblePolygons
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Instances, Material, Mesh, RenderSettings, Scene, render, uniform_world
-from pointmr_engine.forward.drawing.cut_outs import CutOuts, no_cut_outs
+from pointmr_engine.forward.drawing.cut_outs import even_cut_outs, no_cut_outs
 from pointmr_engine.forward.reconstruction.leaks import close_leaks
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.instanced import random_transforms
@@ -83,7 +83,7 @@ def test_what_light_passes_shows_what_is_behind_it(which):
     """The two sides of a pane, or of a leaf with holes."""
     mask = np.where(np.arange(3) == which, 0, -1).astype(np.int32)
     found, ids = closed(
-        [[0, 1, 0]], bodies(), CutOuts(np.zeros(2, np.int64), mask, np.zeros((1, 2, 2), np.uint8))
+        [[0, 1, 0]], bodies(), even_cut_outs(np.zeros(2, np.int64), mask, np.zeros((1, 2, 2), np.uint8))
     )
     assert found == 0 and ids.tolist() == [[0, 1, 0]]
 

@@ -15,6 +15,7 @@ from pointmr_engine.forward.reconstruction.pixel_filter import filter_taps
 from pointmr_engine.numerics.jit import uncounted
 
 SIDE = 48
+ALL = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 WHOLE = 2.0  # opacity of what is drawn without gaps
 
 
@@ -28,8 +29,8 @@ def draw_triangle(target, width, height, x, y, w, entry):
 @uncounted
 def draw_cut_out(target, width, height, x, y, w, entry, opacity):
     return cover_cut_out(
-        target, width, height, True, (x[0], x[1], x[2]), (y[0], y[1], y[2]), (w[0], w[1], w[2]), entry, opacity,
-        np.int64(0), np.int64(0),
+        target, width, height, True, (x[0], x[1], x[2]), (y[0], y[1], y[2]), (w[0], w[1], w[2]), ALL, entry,
+        opacity.reshape(-1), np.int64(0), np.int64(opacity.shape[1]), np.int64(0),
     )  # fmt: skip
 
 

@@ -88,3 +88,20 @@ def test_a_surface_that_sees_a_part_of_a_lamp_is_lit_by_it(place, sides):
     scene = Scene(Group("root", [wall]), Camera(look((0, -4, 0.5), (0, 0, 0.5))), [lamp], DARK)
     exact, ours = (a[16:20, 22:26].mean() for a in both(scene))
     assert ours == pytest.approx(exact, rel=0.02, abs=0.001)
+
+
+@pytest.mark.parametrize("method", ["raytrace", "forward"])
+@pytest.mark.parametrize(("shape", "height"), [("RECTANGLE", 1.0), ("ELLIPSE", 2.0)])
+@pytest.mark.parametrize("turn", [False, True])
+def test_long_lamps_light_what_is_near_them(shape, height, turn, method):
+    """A tube is more points along than across: of two by two, it was 1.3 % too bright here, or 5 % too dark."""
+    sides = (0.3, 3.5) if turn else (3.5, 0.3)
+    lamp = Light(
+        "AREA", look((0, 0, height), (0, 0, 0)), power=100.0, shape=shape, size_x=sides[0], size_y=sides[1]
+    )
+    scene = Scene(Group("root", [quad(6.0, material=GREY)]), from_above(5.0), [lamp], DARK)
+    cache = Cache()
+    exact = image(scene, cache, method="distributed", samples=256)
+    ours = image(scene, cache, method=method)
+    np.testing.assert_allclose(ours[12:24, 18:30].mean(), exact[12:24, 18:30].mean(), rtol=0.006)
+    assert np.abs(ours - exact).mean() < 0.006 * exact.mean()

@@ -7,12 +7,12 @@ import numpy as np
 from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 
-_BATCH = 1 << 18  # samples at once
+BATCH = 1 << 18  # samples at once
 
 
 def batches(triangles: np.ndarray, side: int):
     """Parts of `triangles` whose side x side samples each are few enough to be taken at once."""
-    step = max(1, _BATCH // side**2)
+    step = max(1, BATCH // side**2)
     for start in range(0, len(triangles), step):
         yield triangles[start : start + step]
 

@@ -11,7 +11,10 @@ from pointmr_engine.forward.drawing.subpixel_places import INNER, place_of
 from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 
-OPAQUE = 192  # of 255: from here on a sample counts as opaque
+OPAQUE = 192  # of 255: from here on a sample counts as opaque ...
+SEEN = 32  # ... and below, as a hole, whose colour is anybody's guess
+BESIDE = 2  # cells that an outline is wide
+FAR = 128  # cells: farther from what is seen no fragment lies
 SURE = 0.75  # of a cell's opacity: a place in it that is less opaque lies in a hole between the samples
 EDGE = 1e-12  # barycentric: what is so near an edge belongs to the triangles on both sides
 
@@ -33,10 +36,21 @@ def cell_of(u, v, side):
 
 
 @device
+def place_in(at, w, b1, b2, nearness):
+    """(u, v) where the weights of a drawn piece's corners 1 and 2 are b1 and b2; at, w: see cover_cut_out; nearness:
+    there, 0 where nothing is foreshortened."""
+    if nearness > 0.0:
+        b1, b2 = b1 * w[1] / nearness, b2 * w[2] / nearness
+    (u0, v0), (u1, v1), (u2, v2) = at
+    return u0 + b1 * (u1 - u0) + b2 * (u2 - u0), v0 + b1 * (v1 - v0) + b2 * (v2 - v0)
+
+
+@device
 def opacity_at(cut_outs, mask, u, v):
     """Opacity, of 255, at barycentric weights u and v of vertices 1 and 2."""
-    p, q = cell_of(u, v, cut_outs.opacity.shape[1])
-    return np.float64(cut_outs.opacity[mask, q, p])
+    side = cut_outs.side[mask]
+    p, q = cell_of(u, v, side)
+    return np.float64(cut_outs.cells[cut_outs.start[mask] + q * side + p])
 
 
 @device
@@ -54,17 +68,16 @@ def _order_at(key, i, j, front):
 
 
 @device
-def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, key):
-    """Draw a triangle as subpixels.cover_triangle does, but where opacity[mask] leaves holes; whether anything was
-    written.
+def cover_cut_out(target, width, height, perspective, x, y, w, at, entry, cells, start, side, key):
+    """Draw a triangle as subpixels.cover_triangle does, but where its cells leave holes; whether anything was written.
 
-    x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective; key: number of the triangle.
+    x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective; at: for each its barycentric
+    weights (u, v) in the triangle whose opacity the cells are (CutOuts: cells, start, side); key: that one's number.
     """
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     if area == 0.0 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:
         return False
     inverse = 1.0 / area
-    side = opacity.shape[1]
     low, high = min(y[0], y[1], y[2]), max(y[0], y[1], y[2])
     left, right = min(x[0], x[1], x[2]), max(x[0], x[1], x[2])
     if high < INNER or right < INNER:
@@ -85,11 +98,12 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
             nearness = w[0] + b1 * (w[1] - w[0]) + b2 * (w[2] - w[0])
             if not nearness > target.depth[j, i]:
                 continue
-            u, v = b1, b2
-            if perspective:
-                u, v = b1 * w[1] / nearness, b2 * w[2] / nearness
+            u, v = place_in(at, w, b1, b2, nearness if perspective else 0.0)
             p, q = cell_of(u, v, side)
-            if opacity[mask, q, p] > 255.0 * target.pattern[row + ((j ^ turn_y) & 7), (i ^ turn_x) & 7]:
+            if (
+                cells[start + q * side + p]
+                > 255.0 * target.pattern[row + ((j ^ turn_y) & 7), (i ^ turn_x) & 7]
+            ):
                 target.depth[j, i] = nearness
                 target.ids[j, i] = entry
                 written = True
@@ -97,33 +111,18 @@ def cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
 
 
 @device
-def _most_opaque(opacity, mask):
-    """The largest of a triangle's opacities, OPAQUE at most."""
-    most, side = np.int64(0), opacity.shape[1]
-    for q in range(side):
-        for p in range(side - q):
-            most = max(most, np.int64(opacity[mask, q, p]))
-            if most >= OPAQUE:
-                return np.int64(OPAQUE)
-    return most
-
-
-@device
-def _nearest_as_opaque(opacity, mask, u, v, most):
-    """(p, q): the cell nearest to the place (u, v), in cells, that is at least `most` opaque; there must be one.
-
-    Looked for along growing squares about the place.
-    """
-    side = opacity.shape[1]
+def nearest_as_opaque(cells, start, side, u, v, least, rings):
+    """(p, q): the nearest cell to the place (u, v), in cells, that is at least `least` opaque, of 255; (-1, -1) where
+    none of its own and of `rings` squares of cells about that is."""
     i, j = min(np.int64(u), side - 1), min(np.int64(v), side - 1)
-    best, bi, bj = math.inf, i, j
-    for ring in range(side):
+    best, bi, bj = math.inf, np.int64(-1), np.int64(-1)
+    for ring in range(min(rings + 1, side)):
         if (ring - 1.0) * (ring - 1.0) > best:
             break
         for q in range(max(j - ring, 0), min(j + ring, side - 1) + 1):
             step = 1 if q == j - ring or q == j + ring else 2 * ring
             for p in range(i - ring, i + ring + 1, max(step, 1)):
-                if p < 0 or p + q >= side or np.int64(opacity[mask, q, p]) < most:
+                if p < 0 or p + q >= side or np.int64(cells[start + q * side + p]) < least:
                     continue
                 dx, dy = p + 1.0 / 3.0 - u, q + 1.0 / 3.0 - v
                 d = dx * dx + dy * dy
@@ -134,22 +133,31 @@ def _nearest_as_opaque(opacity, mask, u, v, most):
 
 @uncounted
 def move_to_opaque(cut_outs, fragments, first, count):
-    """Move the places of fragments first..first + count, where their cells are clear, to the sample of the nearest cell
-    that is opaque; where none is, of the nearest of the least transparent ones. fragments: Fragments.
+    """Move the places of fragments first..first + count out of holes: to the sample of the nearest cell in which
+    something is seen, and on to an opaque one where that is its neighbour, for a cell that an outline crosses is half
+    a hole. What is half transparent has a colour of its own, and stays. fragments: Fragments.
     """
-    opacity = cut_outs.opacity
-    side = opacity.shape[1]
+    cells = cut_outs.cells
     for k in range(first, first + count):
         mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
         if mask < 0:
             continue
-        u, v = np.float64(fragments.place[k, 0]), np.float64(fragments.place[k, 1])
-        p, q = cell_of(u, v, side)
-        if opacity[mask, q, p] >= OPAQUE:
+        start, side = np.int64(cut_outs.start[mask]), np.int64(cut_outs.side[mask])
+        u, v = side * np.float64(fragments.place[k, 0]), side * np.float64(fragments.place[k, 1])
+        p, q = cell_of(u / side, v / side, side)
+        if cells[start + q * side + p] >= OPAQUE:
             continue
-        most = _most_opaque(opacity, mask)
-        p, q = _nearest_as_opaque(opacity, mask, u * side, v * side, most)
-        fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
+        moved = cells[start + q * side + p] < SEEN
+        if moved:
+            p, q = nearest_as_opaque(cells, start, side, u, v, SEEN, FAR)
+            if p < 0:
+                continue
+            u, v = p + 1.0 / 3.0, q + 1.0 / 3.0
+        i, j = nearest_as_opaque(cells, start, side, u, v, OPAQUE, BESIDE)
+        if i >= 0:
+            moved, p, q = True, i, j
+        if moved:
+            fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
 
 
 @uncounted
@@ -167,12 +175,12 @@ def with_holes(cut_outs, fragments, first, count, out):
 def move_to_samples(cut_outs, fragments, rows, opacity):
     """Move the places of the fragments `rows` (n,) int64 to the samples of their cells, where they are much less opaque
     than these: opacity (n,) at the places, 0..1."""
-    side = cut_outs.opacity.shape[1]
     for n in range(len(rows)):
         k = rows[n]
         mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
         u, v = np.float64(fragments.place[k, 0]), np.float64(fragments.place[k, 1])
         if opacity[n] * 255.0 < SURE * opacity_at(cut_outs, mask, u, v):
+            side = np.int64(cut_outs.side[mask])
             p, q = cell_of(u, v, side)
             fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
 

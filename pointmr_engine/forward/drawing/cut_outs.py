@@ -15,9 +15,9 @@ import numpy as np
 
 from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.baked.opacity_classes import Opacity, opacity_classes
-from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
+from pointmr_engine.forward.baked.opacity_lattice import BATCH, batches, in_triangle, lattice
 from pointmr_engine.forward.drawing.cut_out_cover import move_to_opaque, move_to_samples, with_holes
-from pointmr_engine.forward.drawing.draw import draw_triangle, to_target
+from pointmr_engine.forward.drawing.draw import to_target
 from pointmr_engine.forward.drawing.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import device
@@ -30,23 +30,46 @@ FIRST = 24  # so many tell which triangles are the same all over: these share on
 
 
 class CutOuts(NamedTuple):
-    """Opacity over M different triangles, on lattices of R x R points: (i + j <= R - 1) barycentric weights of
-    vertices 1, 2. What is the same all over has few rows: where materials of cards are those of stems, too, most
-    triangles are opaque."""
+    """Opacity over M different triangles, each on a lattice of its own of R x R cells: [q, p] (p + q <= R - 1), by
+    barycentric weights of vertices 1 (p) and 2 (q). What is the same all over has few rows: where materials of cards
+    are those of stems, too, most triangles are opaque."""
 
     first: np.ndarray  # (P,) int64 row of a part's triangle 0 in `mask`, -1: the part is opaque
-    mask: np.ndarray  # (K,) int32 row of `opacity`, -1: the triangle is opaque
-    opacity: np.ndarray  # (M, R, R) uint8; 255: opaque
+    mask: np.ndarray  # (K,) int32 row of `start` and `side`, -1: the triangle is opaque
+    start: np.ndarray  # (M,) int64 place in `cells` of a lattice's first
+    side: np.ndarray  # (M,) int64: R
+    cells: np.ndarray  # uint8; 255: opaque
+
+
+class Source(NamedTuple):
+    """Triangles of one material whose opacity is sampled: rows of CutOuts, one after another."""
+
+    opacity: Opacity
+    triangles: np.ndarray  # (n,) int64
+
+
+def even_cut_outs(first: np.ndarray, mask: np.ndarray, opacity: np.ndarray) -> CutOuts:
+    """Those whose lattices are the same size: opacity (M, R, R) uint8."""
+    count, side, _ = opacity.shape
+    start = np.arange(count, dtype=np.int64) * side**2
+    return CutOuts(first, mask, start, np.full(count, side, np.int64), opacity.reshape(-1))
+
+
+def lattices(cut_outs: CutOuts) -> np.ndarray:
+    """(M, R, R) uint8: the opacity of even_cut_outs."""
+    side = int(cut_outs.side[0]) if len(cut_outs.side) else 2
+    return cut_outs.cells.reshape(-1, side, side)
 
 
 def no_cut_outs(parts: int) -> CutOuts:
     """Those of `parts` opaque parts."""
-    return CutOuts(np.full(parts, -1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2, 2), np.uint8))
+    return even_cut_outs(np.full(parts, -1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2, 2), np.uint8))
 
 
-def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts]:
+def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts, list[Source]]:
     """The cut-outs of all parts whose materials let light through: by their mean opacity, and by that of the channel
-    that they block most, for methods whose rays pass what goes through the others (Image.choose_cut_outs).
+    that they block most, for methods whose rays pass what goes through the others (Image.choose_cut_outs); and what
+    they are samples of.
     """
     first = np.full(len(geometry.parts), -1, np.int64)
     masks, sources = [], []
@@ -68,7 +91,7 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
             which, shared = _without_even(rows, which, opacity_of)
             mask[rows] = known + shared[inverse]
             known += len(which)
-            sources.append((opacity_of, rows[which]))
+            sources.append(Source(opacity_of, rows[which]))
         first[part] = total
         masks.append(mask)
         total += n
@@ -77,13 +100,13 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
     at = 0
     for opacity_of, triangles in sources:
         for chosen in batches(triangles, side):
-            opacity[:, at : at + len(chosen)] = _sampled(opacity_of, chosen, at, side)
+            opacity[:, at : at + len(chosen)] = sampled(opacity_of, chosen, at, side)
             at += len(chosen)
     mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
-    return CutOuts(first, mask, opacity[0]), CutOuts(first, mask, opacity[1])
+    return even_cut_outs(first, mask, opacity[0]), even_cut_outs(first, mask, opacity[1]), sources
 
 
-def _sampled(opacity_of: Opacity, triangles: np.ndarray, row: int, side: int) -> np.ndarray:
+def sampled(opacity_of: Opacity, triangles: np.ndarray, row: int, side: int) -> np.ndarray:
     """(2, n, side, side) uint8: the opacity of triangles (n,), at the places of the rows from `row` on.
 
     Cells that lie beyond the longest edge, which nobody asks for, have what they are turned into.
@@ -91,7 +114,9 @@ def _sampled(opacity_of: Opacity, triangles: np.ndarray, row: int, side: int) ->
     n = len(triangles)
     u, v = lattice(side, row + np.arange(n))
     own = in_triangle(side)
-    found = opacity_of(np.repeat(triangles, own.sum()), u[:, own].ravel(), v[:, own].ravel())
+    u, v, which = u[:, own].ravel(), v[:, own].ravel(), np.repeat(triangles, own.sum())
+    parts = [slice(k, k + BATCH) for k in range(0, len(which), BATCH)]
+    found = np.concatenate([opacity_of(which[a], u[a], v[a]) for a in parts])
     result = np.empty((2, n, side, side), np.uint8)
     result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(2, n, -1)
     result[:, :, ~own] = result[:, :, ::-1, ::-1][:, :, ~own]
@@ -106,7 +131,7 @@ def _without_even(
     even = np.full(len(which), -1)  # 256 times the one opacity, plus the other
     at = 0
     for chosen in batches(triangles[which], FIRST):
-        found = _sampled(opacity_of, chosen, at, FIRST).reshape(2, len(chosen), -1)
+        found = sampled(opacity_of, chosen, at, FIRST).reshape(2, len(chosen), -1)
         same = (found == found[:, :, :1]).all((0, 2))
         value = 256 * found[0, :, 0].astype(np.int64) + found[1, :, 0]
         even[at : at + len(chosen)] = np.where(same, value, -1)
@@ -177,15 +202,63 @@ def look_where_opaque(
 
 
 @device
+def _split(corners, near):
+    """(k, share of the edges from vertex k to the next two that lie on k's side of the near plane) of a triangle that
+    the plane cuts: k is alone on its side; (-1, 0, 0) of one that it does not cut."""
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        alone, own = corners[k, 2] >= near, corners[k, 2]
+        if (corners[a, 2] >= near) != alone and (corners[b, 2] >= near) != alone:
+            return np.int64(k), (near - own) / (corners[a, 2] - own), (near - own) / (corners[b, 2] - own)
+    return np.int64(-1), 0.0, 0.0
+
+
+@device
+def _on_edge(k, n, t):
+    """Barycentric weights of vertices 1 and 2 at t of the way from vertex k to vertex n."""
+    u = (1.0 - t if k == 1 else 0.0) + (t if n == 1 else 0.0)
+    return u, (1.0 - t if k == 2 else 0.0) + (t if n == 2 else 0.0)
+
+
+@device
+def _to_target(view, corners, near, at, left, low):
+    """(x, y, nearness) in the tile of the place `at` of a triangle, which is not nearer than the near plane."""
+    u, v = at
+    t = 1.0 - u - v
+    x = t * corners[0, 0] + u * corners[1, 0] + v * corners[2, 0]
+    y = t * corners[0, 1] + u * corners[1, 1] + v * corners[2, 1]
+    z = max(t * corners[0, 2] + u * corners[1, 2] + v * corners[2, 2], near)
+    x, y, w = to_target(view, x, y, z)
+    return x - left, y - low, w
+
+
+@device
 def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_outs, mask, key):
-    """Draw the triangle with corners (3, 3) in camera space where it is opaque; those that the near plane cuts are
-    drawn whole."""
-    if corners[0, 2] < view.near or corners[1, 2] < view.near or corners[2, 2] < view.near:
-        return draw_triangle(view, target, width, height, left, low, corners, entry)
-    x0, y0, w0 = to_target(view, corners[0, 0], corners[0, 1], corners[0, 2])
-    x1, y1, w1 = to_target(view, corners[1, 0], corners[1, 1], corners[1, 2])
-    x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
-    return put_cut_out(
-        target, width, height, view.perspective, (x0 - left, x1 - left, x2 - left), (y0 - low, y1 - low, y2 - low),
-        (w0, w1, w2), entry, cut_outs.opacity, mask, key,
-    )  # fmt: skip
+    """Draw the triangle with corners (3, 3) in camera space where it is opaque, clipped at the near plane; whether it
+    was written."""
+    near = view.near
+    k, s, t = _split(corners, near)
+    front = corners[0, 2] >= near if k < 0 else corners[k, 2] >= near
+    if k < 0 and not front:
+        return False
+    pieces = 2 if k >= 0 and not front else 1
+    written = False
+    for piece in range(pieces):
+        a, b, c = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)
+        if k >= 0:
+            n, m = (k + 1) % 3, (k + 2) % 3
+            if front:
+                a, b, c = _on_edge(k, k, 0.0), _on_edge(k, n, s), _on_edge(k, m, t)
+            elif piece == 0:
+                a, b, c = _on_edge(k, n, s), _on_edge(n, n, 0.0), _on_edge(m, m, 0.0)
+            else:
+                a, b, c = _on_edge(k, n, s), _on_edge(m, m, 0.0), _on_edge(k, m, t)
+        x0, y0, w0 = _to_target(view, corners, near, a, left, low)
+        x1, y1, w1 = _to_target(view, corners, near, b, left, low)
+        x2, y2, w2 = _to_target(view, corners, near, c, left, low)
+        if put_cut_out(
+            target, width, height, view.perspective, (x0, x1, x2), (y0, y1, y2), (w0, w1, w2), (a, b, c), entry,
+            cut_outs.cells, cut_outs.start[mask], cut_outs.side[mask], key,
+        ):  # fmt: skip
+            written = True
+    return written

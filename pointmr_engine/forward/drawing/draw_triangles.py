@@ -39,50 +39,43 @@ def draw_triangles(
     for start in range(first, last, WIDTH):
         masks = corners_eight(address[3], start, address[1], address[2])
         inside = (np.int64(1) << min(np.int64(WIDTH), last - start)) - 1
-        mask = _open_ones(target, lanes, masks & inside)
+        cut = (masks >> 8) & inside  # by the near plane
+        mask = _open_ones(target, lanes, masks & inside) | cut
         while mask != 0:
             k = trailing_zeros(mask)
             mask &= mask - 1
             hole = cut_out_of(cut_outs, np.int64(items[start + k, 0]), np.int64(items[start + k, 1]))
-            lump = np.int64(1) if lanes[CORNER_SMALL, k] <= small else np.int64(0)
-            if hole >= 0:
+            is_cut = (cut >> k) & 1 != 0
+            lump = np.int64(1) if not is_cut and lanes[CORNER_SMALL, k] <= small else np.int64(0)
+            if hole >= 0 or is_cut:
                 triangle_to_camera(matrix, row, corners, start + k, work)
-                if draw_cut_out(
+            if hole >= 0:
+                written = draw_cut_out(
                     view, target, width, height, left, low, work, used, cut_outs, hole, start + k
-                ):
-                    entries.surfel[used] = -1 - (2 * (start + k) + lump)
-                    entries.row[used] = row
-                    used += 1
-                continue
-            x = (
-                np.float64(lanes[CORNER_X, k]),
-                np.float64(lanes[CORNER_X + 1, k]),
-                np.float64(lanes[CORNER_X + 2, k]),
-            )
-            y = (
-                np.float64(lanes[CORNER_Y, k]),
-                np.float64(lanes[CORNER_Y + 1, k]),
-                np.float64(lanes[CORNER_Y + 2, k]),
-            )
-            w = (
-                np.float64(lanes[CORNER_W, k]),
-                np.float64(lanes[CORNER_W + 1, k]),
-                np.float64(lanes[CORNER_W + 2, k]),
-            )
-            if put_triangle(target, width, height, x, y, w, used):
+                )
+            elif is_cut:
+                written = draw_triangle(view, target, width, height, left, low, work, used)
+            else:
+                written = put_triangle(
+                    target,
+                    width,
+                    height,
+                    _three(lanes, CORNER_X, k),
+                    _three(lanes, CORNER_Y, k),
+                    _three(lanes, CORNER_W, k),
+                    used,
+                )
+            if written:
                 entries.surfel[used] = -1 - (2 * (start + k) + lump)
                 entries.row[used] = row
                 used += 1
-        mask = (masks >> 8) & inside
-        while mask != 0:
-            k = trailing_zeros(mask)
-            mask &= mask - 1
-            triangle_to_camera(matrix, row, corners, start + k, work)
-            if draw_triangle(view, target, width, height, left, low, work, used):
-                entries.surfel[used] = -1 - 2 * (start + k)
-                entries.row[used] = row
-                used += 1
     return used
+
+
+@device
+def _three(lanes, first, k):
+    """Lane k of three rows, as float64."""
+    return np.float64(lanes[first, k]), np.float64(lanes[first + 1, k]), np.float64(lanes[first + 2, k])
 
 
 @device

@@ -27,7 +27,7 @@ def put_triangle(target, width, height, x, y, w, entry):
     raise NotImplementedError
 
 
-def put_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, key):
+def put_cut_out(target, width, height, perspective, x, y, w, at, entry, cells, start, side, key):
     """Draw a triangle with holes as cut_out_cover.cover_cut_out does."""
     raise NotImplementedError
 
@@ -65,7 +65,7 @@ def _triangle():
 
 @puts(put_cut_out, Target)
 def _cut_out():
-    def draw(target, width, height, perspective, x, y, w, entry, opacity, mask, key):
-        return cover_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask, key)
+    def draw(target, width, height, perspective, x, y, w, at, entry, cells, start, side, key):
+        return cover_cut_out(target, width, height, perspective, x, y, w, at, entry, cells, start, side, key)
 
     return draw

@@ -2,8 +2,8 @@
 maps.
 
 Nothing is random, so nothing is noisy: a lamp is one point where it looks small, up to sixteen where it is wide and 64
-where a surface sees a part of it, and lobes are widened by the part of the lamp that each point stands for, so that
-sharp highlights keep the lamp's size.
+where a surface sees a part of it, more of them along a rectangle's longer side. Lobes are widened by the part of the
+lamp that each point stands for, so that sharp highlights keep the lamp's size.
 """
 
 from __future__ import annotations
@@ -64,10 +64,15 @@ from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
 from pointmr_engine.shading.bsdf.widening import is_glossy, set_roughness
 from pointmr_engine.shading.lobes import evaluate
 
-FOUR, SIXTEEN = 0.05, 0.6  # solid angles (sr) from which a lamp is four or sixteen points ...
-SHARP = 0.005  # ... and from which it is sixteen for lobes that are narrower than the lamp
+TWO, ROW_OF_FOUR, ROW_OF_EIGHT = (
+    0.05,
+    0.6,
+    4.0,
+)  # squared angles (sr) from which a lamp's side is so many points
+SHARP = 0.005  # solid angle from which a lamp is sixteen points for lobes that are narrower than it
+LONG = 4.0  # times as long as it is wide: a rectangle whose sixteen points are two rows of eight
 # by which points are moved outwards from a lamp's middle, so that their mean square distance from it is the lamp's:
-# of n x n points, n a power of two, by sides of a rectangle and by the concentric mapping of round lamps
+# of rows of n points, n a power of two, by sides of a rectangle and by the concentric mapping of round lamps
 APART = (
     (1.0, 1.1547, 1.0, 1.0328, 1.0, 1.0, 1.0, 1.0079),
     (1.0, 1.4142, 1.0, 1.069, 1.0, 1.0, 1.0, 1.016),
@@ -138,6 +143,30 @@ def _sees_a_part(lamps, i, px, py, pz, n):
 
 
 @device
+def _row_of_points(square):
+    """How many points a side of a lamp is that is seen under an angle of this square."""
+    if square > ROW_OF_FOUR:
+        return np.int64(8) if square > ROW_OF_EIGHT else np.int64(4)
+    return np.int64(2) if square > TWO else np.int64(1)
+
+
+@device
+def _grid_of_points(lamps, i, solid, sharp):
+    """(points along a lamp's sides u, v), a lamp of `solid` sr; sharp: whether a lobe is narrower than the lamp."""
+    row, shape = lamps.values[i], lamps.shape[i]
+    longer = 1.0
+    if shape == RECTANGLE or shape == ELLIPSE:
+        longer = row[HALF_U] / row[HALF_V]
+    across, up = _row_of_points(solid * longer), _row_of_points(solid / longer)
+    if sharp:
+        least_across = np.int64(8) if longer > LONG else np.int64(2) if longer * LONG < 1.0 else np.int64(4)
+        across, up = max(across, least_across), max(up, np.int64(16) // least_across)
+    if shape == ELLIPSE:
+        across = up = max(across, up)
+    return across, up
+
+
+@device
 def _sharpest(lobes, i, alpha):
     """The least squared roughness of point i's microfacet lobes; 1 where it has none."""
     least = 1.0
@@ -181,15 +210,13 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             dx, dy, dz, solid, scale = _whole_lamp(
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
             )
-            side = np.int64(1)
-            if solid > SIXTEEN or solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < solid:
-                side = np.int64(4)
-            elif solid > FOUR:
-                side = np.int64(2)
             if solid > 0.0 and _sees_a_part(lamps, np.int64(i), px, py, pz, normal):
-                side = np.int64(8)
-            points = side * side
-            apart = APART[0 if lamps.shape[i] == RECTANGLE else 1][side - 1]
+                across = up = np.int64(8)
+            else:
+                sharp = solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < solid
+                across, up = _grid_of_points(lamps, np.int64(i), solid, sharp)
+            points = across * up
+            apart = APART[0 if lamps.shape[i] == RECTANGLE else 1]
             if points == 1 and plane >= 1.0 and not transmissive:
                 if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
                     continue
@@ -214,8 +241,8 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                 widened = False
             for p in range(points):
                 if points > 1:
-                    u = 0.5 + apart * ((p % side + 0.5) / side - 0.5)
-                    v = 0.5 + apart * ((p // side + 0.5) / side - 0.5)
+                    u = 0.5 + apart[across - 1] * ((p % across + 0.5) / across - 0.5)
+                    v = 0.5 + apart[up - 1] * ((p // across + 0.5) / up - 0.5)
                     dx, dy, dz, _, pdf, scale = sample_lamp(
                         lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive, u, v
                     )

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.forward.drawing.cut_out_cover import cell_of, place_in
 from pointmr_engine.forward.drawing.surfel_lanes import REACH
 from pointmr_engine.forward.drawing.targets import put_cut_out, put_ellipse, put_triangle, puts
 from pointmr_engine.multires.alpha.a_buffer import LEAST, LINES, Layers, insert
@@ -169,12 +170,12 @@ def layer_triangle(target, width, height, x, y, w, entry):
 
 
 @device
-def layer_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask):
+def layer_cut_out(target, width, height, perspective, x, y, w, at, entry, cells, start, side):
     """Put a triangle with holes into the lists: its mean opacity over 6 x 6 points of each cell."""
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     if area == 0.0 or not (max(x[0], x[1], x[2]) + EDGE > 0.0 and min(x[0], x[1], x[2]) < width + EDGE):
         return False
-    inverse, side = 1.0 / area, opacity.shape[1]
+    inverse = 1.0 / area
     slope_x, slope_y = _slopes(x, y, w, area)
     least, most = min(w[0], w[1], w[2]), max(w[0], w[1], w[2])
     half = 0.5 * min(abs(slope_x) + abs(slope_y), most - least)
@@ -194,13 +195,10 @@ def layer_cut_out(target, width, height, perspective, x, y, w, entry, opacity, m
                     b2 = ((x[1] - x[0]) * (yc - y[0]) - (xc - x[0]) * (y[1] - y[0])) * inverse
                     if b1 < 0.0 or b2 < 0.0 or b1 + b2 > 1.0:
                         continue
-                    u, v = b1, b2
-                    if perspective:
-                        nearness = w[0] + b1 * (w[1] - w[0]) + b2 * (w[2] - w[0])
-                        u, v = b1 * w[1] / nearness, b2 * w[2] / nearness
-                    p = min(max(np.int64(u * side), np.int64(0)), side - 1)
-                    q = min(max(np.int64(v * side), np.int64(0)), side - 1)
-                    share = np.float64(opacity[mask, q, p])
+                    nearness = w[0] + b1 * (w[1] - w[0]) + b2 * (w[2] - w[0])
+                    u, v = place_in(at, w, b1, b2, nearness if perspective else 0.0)
+                    p, q = cell_of(u, v, side)
+                    share = np.float64(cells[start + q * side + p])
                     cover += share
                     at_x += share * xc
                     at_y += share * yc
@@ -239,7 +237,7 @@ def _triangle():
 
 @puts(put_cut_out, Layers)
 def _cut_out():
-    def draw(target, width, height, perspective, x, y, w, entry, opacity, mask, key):
-        return layer_cut_out(target, width, height, perspective, x, y, w, entry, opacity, mask)
+    def draw(target, width, height, perspective, x, y, w, at, entry, cells, start, side, key):
+        return layer_cut_out(target, width, height, perspective, x, y, w, at, entry, cells, start, side)
 
     return draw

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
-from pointmr_engine.forward.drawing.cut_outs import part_materials, part_transparency
+from pointmr_engine.forward.drawing.cut_outs import lattices, part_materials, part_transparency
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
 
 FINEST = 64  # cells along an edge at most: bits of a word
@@ -38,7 +38,7 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
     cut_outs: forward.drawing.cut_outs.CutOuts of the channel that is blocked most, whose triangles share samples.
     """
     nothing = cut_outs.first, np.zeros(0, np.int32), np.zeros((0, 2), np.int64), 0
-    whole = (cut_outs.opacity == 255).all((1, 2))
+    whole = (lattices(cut_outs) == 255).all((1, 2))
     groups = _to_know(geometry, programs, cut_outs)
     patterned = np.unique(np.concatenate([row[~whole[row]] for *_, row in groups])) if groups else whole[:0]
     side = _side(len(patterned), FINEST)
@@ -112,9 +112,10 @@ def surely(alike: np.ndarray) -> np.ndarray:
 
 
 def _to_know(geometry, programs: list, cut_outs) -> list[tuple]:
-    """(part, program, its triangles (n,), rows (n,) of cut_outs.opacity) of those with holes or opaque places."""
+    """(part, program, its triangles (n,), rows (n,) of cut_outs) of those with holes or opaque places."""
     found = []
-    worth = ((cut_outs.opacity == 0) | (cut_outs.opacity == 255)).any((1, 2))
+    opacity = lattices(cut_outs)
+    worth = ((opacity == 0) | (opacity == 255)).any((1, 2))
     for part, mesh in enumerate(geometry.parts):
         if cut_outs.first[part] < 0:
             continue
