@@ -145,3 +145,23 @@ def test_rough_metal_shows_a_sun_of_the_sky_as_bright_as_by_random_rays(roughnes
     exact = image(scene, cache, method="distributed", samples=1024).mean()
     ours = np.mean([image(scene, cache, seed=s).mean() for s in range(4)])
     assert least < ours / exact < 1.02
+
+
+@pytest.mark.parametrize("rotation", [0.0, 0.25])
+def test_brushed_metal_is_no_round_lobe(rotation):
+    """It takes rays, for cones are round: one as rough as its mean was off by 34 to 82 %."""
+
+    def floor(anisotropic: float) -> Scene:
+        metal = principled(
+            base_color=(0.8, 0.8, 0.8), metallic=1.0, roughness=0.3, anisotropic=anisotropic,
+            anisotropic_rotation=rotation,
+        )  # fmt: skip
+        return below_a_lamp(metal, 3.0)
+
+    size, cache = (64, 48), Cache()
+    exact = image(floor(0.9), cache, size, method="distributed", samples=1024)
+    ours = np.mean([image(floor(0.9), cache, size, seed=k) for k in range(8)], 0)
+    even = image(floor(0.0), Cache(), size, method="distributed", samples=256)
+    assert np.abs(even - exact).mean() > 0.2 * exact.mean()
+    assert np.abs(ours - exact).mean() < 0.1 * exact.mean()
+    assert ours.mean() == pytest.approx(exact.mean(), rel=0.02)

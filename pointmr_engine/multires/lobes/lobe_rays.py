@@ -9,6 +9,8 @@ import numpy as np
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.glossy import evaluate, sample
 from pointmr_engine.shading.bsdf.layout import (
+    ALPHA_X,
+    ALPHA_Y,
     GLASS,
     IOR,
     KIND_MASK,
@@ -26,6 +28,7 @@ from pointmr_engine.shading.lobes import value_of
 # roughness (GGX alpha) above which lobes take rays, at one cone a pixel: their cones would be too wide. With more
 # cones it is less, as the rays' noise is and the cones' bias is not
 ROUGH = 0.15
+LONG = 1.5  # times as rough along as across: a cone, which is round, is not the lobe
 # rays of a first surface's lobe: so many for all of the light, up to MOST. A bright place that one ray in many meets is
 # most of the noise where little else shines, as at rims, and these rays are few against shadow rays
 EACH, MOST = 64.0, 4
@@ -44,7 +47,8 @@ def takes_ray(lobes, k, j, rough, limit, largest, small, strong):
     refracts = kind & KIND_MASK == REFRACTION or kind & KIND_MASK == GLASS
     if kind & SINGULAR_LOBE or (refracts and abs(np.float64(lobes.data[k, j, IOR]) - 1.0) < IOR_MATCHED):
         return False
-    return small or largest < strong or rough > limit
+    x, y = np.float64(lobes.data[k, j, ALPHA_X]), np.float64(lobes.data[k, j, ALPHA_Y])
+    return small or largest < strong or rough > limit or max(x, y) > LONG * min(x, y)
 
 
 @device
