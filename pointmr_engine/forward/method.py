@@ -177,10 +177,10 @@ class Image:
 
     def prepare(self, tell) -> None:
         """What comes before the tiles; tell() may raise to cancel."""
-        size = self.subpixels * self.settings.width, self.subpixels * self.settings.height
+        size = self.settings.width, self.settings.height
         self.cut_outs = self.sampler.near_cut_outs.refined(
             self.cut_outs, self.cut_outs is self.sampler.densest_cut_outs, self.view, self.hierarchy(),
-            self.camera.camera_from_world, size, tell,
+            self.camera.camera_from_world, size, self.subpixels, tell,
         )  # fmt: skip
         if self.settings.forward.reconstruction == "analytic":
             from pointmr_engine.forward.analytic import PolygonSpace, VisiblePolygons

@@ -147,7 +147,7 @@ def move_to_opaque(cut_outs, fragments, first, count):
         p, q = cell_of(u / side, v / side, side)
         if cells[start + q * side + p] >= OPAQUE:
             continue
-        moved = cells[start + q * side + p] < SEEN
+        moved = cells[start + q * side + p] < SEEN and cut_outs.most[mask] >= SEEN
         if moved:
             p, q = nearest_as_opaque(cells, start, side, u, v, SEEN, FAR)
             if p < 0:

@@ -38,6 +38,7 @@ class CutOuts(NamedTuple):
     mask: np.ndarray  # (K,) int32 row of `start` and `side`, -1: the triangle is opaque
     start: np.ndarray  # (M,) int64 place in `cells` of a lattice's first
     side: np.ndarray  # (M,) int64: R
+    most: np.ndarray  # (M,) uint8: the largest of a lattice
     cells: np.ndarray  # uint8; 255: opaque
 
 
@@ -52,7 +53,8 @@ def even_cut_outs(first: np.ndarray, mask: np.ndarray, opacity: np.ndarray) -> C
     """Those whose lattices are the same size: opacity (M, R, R) uint8."""
     count, side, _ = opacity.shape
     start = np.arange(count, dtype=np.int64) * side**2
-    return CutOuts(first, mask, start, np.full(count, side, np.int64), opacity.reshape(-1))
+    most = opacity.reshape(count, side**2).max(1, initial=0)
+    return CutOuts(first, mask, start, np.full(count, side, np.int64), most, opacity.reshape(-1))
 
 
 def lattices(cut_outs: CutOuts) -> np.ndarray:
@@ -100,19 +102,19 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
     at = 0
     for opacity_of, triangles in sources:
         for chosen in batches(triangles, side):
-            opacity[:, at : at + len(chosen)] = sampled(opacity_of, chosen, at, side)
+            opacity[:, at : at + len(chosen)] = sampled(opacity_of, chosen, at + np.arange(len(chosen)), side)
             at += len(chosen)
     mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
     return even_cut_outs(first, mask, opacity[0]), even_cut_outs(first, mask, opacity[1]), sources
 
 
-def sampled(opacity_of: Opacity, triangles: np.ndarray, row: int, side: int) -> np.ndarray:
-    """(2, n, side, side) uint8: the opacity of triangles (n,), at the places of the rows from `row` on.
+def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: int) -> np.ndarray:
+    """(2, n, side, side) uint8: the opacity of triangles (n,), at the places of the rows (n,) of CutOuts.
 
     Cells that lie beyond the longest edge, which nobody asks for, have what they are turned into.
     """
     n = len(triangles)
-    u, v = lattice(side, row + np.arange(n))
+    u, v = lattice(side, rows)
     own = in_triangle(side)
     u, v, which = u[:, own].ravel(), v[:, own].ravel(), np.repeat(triangles, own.sum())
     parts = [slice(k, k + BATCH) for k in range(0, len(which), BATCH)]
@@ -131,7 +133,7 @@ def _without_even(
     even = np.full(len(which), -1)  # 256 times the one opacity, plus the other
     at = 0
     for chosen in batches(triangles[which], FIRST):
-        found = sampled(opacity_of, chosen, at, FIRST).reshape(2, len(chosen), -1)
+        found = sampled(opacity_of, chosen, at + np.arange(len(chosen)), FIRST).reshape(2, len(chosen), -1)
         same = (found == found[:, :, :1]).all((0, 2))
         value = 256 * found[0, :, 0].astype(np.int64) + found[1, :, 0]
         even[at : at + len(chosen)] = np.where(same, value, -1)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pointmr_engine.forward.baked.opacity_lattice import batches
 from pointmr_engine.forward.drawing.cut_out_cover import cut_out_of
 from pointmr_engine.forward.drawing.cut_outs import CutOuts, Source, lattices, sampled
 from pointmr_engine.forward.drawing.draw import triangle_to_camera
@@ -26,6 +27,7 @@ from pointmr_engine.forward.selection.walk import Hierarchy
 from pointmr_engine.numerics.jit import device, uncounted
 
 CELL = 2.0  # subpixels that a cell is wide, at most, where there is room
+SMALL = 16  # pixels: triangles whose edges are no longer stay as they are, for there may be very many
 LARGEST = 2048  # cells along an edge at most
 ROOM = 16_000_000  # cells, over all triangles that are sampled anew
 
@@ -34,7 +36,8 @@ class NearCutOuts:
     """What a scene's triangles with holes are samples of, and their finer lattices, kept from view to view."""
 
     def __init__(self, sources: list[Source]):
-        self._of_row = [(s.opacity, s.triangles[k : k + 1]) for s in sources for k in range(len(s.triangles))]
+        self._sources = sources
+        self._first = np.cumsum([0, *(len(source.triangles) for source in sources)])  # rows of the sources
         self.kept: dict[tuple[int, int], np.ndarray] = {}  # (row, side): both opacities of CutOuts
 
     def refined(
@@ -45,33 +48,44 @@ class NearCutOuts:
         hierarchy: Hierarchy,
         camera_from_world: np.ndarray,
         size: tuple[int, int],
+        subpixels: int,
         tell: Callable[[], None],
     ) -> CutOuts:
-        """`cut_outs`, with finer lattices of the triangles that an image of width, height `size`, in subpixels, shows
-        so large that their cells would be seen; itself where there are none.
+        """`cut_outs`, with finer lattices of the triangles that an image of width, height `size` in pixels, of so many
+        subpixels along an edge each, shows so large that their cells would be seen; itself where there are none.
 
         cut_outs: as build_cut_outs returns them; densest: the second of them. tell() may raise to cancel.
         """
         if not len(cut_outs.side):
             return cut_outs
         coarse = lattices(cut_outs)
-        large = largest_in_view(view, hierarchy, camera_from_world, size, len(coarse), CELL * coarse.shape[1])
-        rows = np.flatnonzero(large > CELL * coarse.shape[1])
+        least = max(CELL * coarse.shape[1], float(SMALL * subpixels))
+        size = subpixels * size[0], subpixels * size[1]
+        large = largest_in_view(view, hierarchy, camera_from_world, size, len(coarse), least)
+        rows = np.flatnonzero(large > least)
         rows = rows[(coarse[rows] != coarse[rows, :1, :1]).any((1, 2))]
         sides = lattice_sides(large[rows], coarse.shape[1])
         wanted = [(int(row), int(side)) for row, side in zip(rows, sides, strict=True)]
         self.kept = {key: self.kept[key] for key in wanted if key in self.kept}
         if not wanted:
             return cut_outs
-        for row, side in wanted:
-            tell()
-            if (row, side) not in self.kept:
-                self.kept[row, side] = sampled(*self._of_row[row], row, side)[:, 0]
+        self._sample([key for key in wanted if key not in self.kept], tell)
         start, side = cut_outs.start.copy(), cut_outs.side.copy()
         start[rows] = len(cut_outs.cells) + np.cumsum(sides**2) - sides**2
         side[rows] = sides
         finer = [self.kept[key][int(densest)].ravel() for key in wanted]
         return cut_outs._replace(start=start, side=side, cells=np.concatenate([cut_outs.cells, *finer]))
+
+    def _sample(self, wanted: list[tuple[int, int]], tell: Callable[[], None]) -> None:
+        """Keep the lattices of `wanted`, (row, side), those of one material and size together."""
+        rows, sides = np.array(wanted, np.int64).reshape(-1, 2).T
+        which = np.searchsorted(self._first, rows, side="right") - 1
+        for material, side in sorted(set(zip(which.tolist(), sides.tolist(), strict=True))):
+            for own in batches(rows[(which == material) & (sides == side)], side):
+                tell()
+                source = self._sources[material]
+                found = sampled(source.opacity, source.triangles[own - self._first[material]], own, side)
+                self.kept |= {(int(row), side): found[:, k] for k, row in enumerate(own)}
 
 
 def lattice_sides(edges: np.ndarray, coarse: int) -> np.ndarray:
