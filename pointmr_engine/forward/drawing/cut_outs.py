@@ -17,7 +17,8 @@ from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.baked.opacity_classes import Opacity, opacity_classes
 from pointmr_engine.forward.baked.opacity_lattice import BATCH, batches, in_triangle, lattice
 from pointmr_engine.forward.drawing.cut_out_cover import move_to_opaque, move_to_samples, with_holes
-from pointmr_engine.forward.drawing.draw import to_target
+from pointmr_engine.forward.drawing.draw import piece_to_tile
+from pointmr_engine.forward.drawing.near_clip import clip, corners_of_piece
 from pointmr_engine.forward.drawing.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import device
@@ -204,63 +205,17 @@ def look_where_opaque(
 
 
 @device
-def _split(corners, near):
-    """(k, share of the edges from vertex k to the next two that lie on k's side of the near plane) of a triangle that
-    the plane cuts: k is alone on its side; (-1, 0, 0) of one that it does not cut."""
-    for k in range(3):
-        a, b = (k + 1) % 3, (k + 2) % 3
-        alone, own = corners[k, 2] >= near, corners[k, 2]
-        if (corners[a, 2] >= near) != alone and (corners[b, 2] >= near) != alone:
-            return np.int64(k), (near - own) / (corners[a, 2] - own), (near - own) / (corners[b, 2] - own)
-    return np.int64(-1), 0.0, 0.0
-
-
-@device
-def _on_edge(k, n, t):
-    """Barycentric weights of vertices 1 and 2 at t of the way from vertex k to vertex n."""
-    u = (1.0 - t if k == 1 else 0.0) + (t if n == 1 else 0.0)
-    return u, (1.0 - t if k == 2 else 0.0) + (t if n == 2 else 0.0)
-
-
-@device
-def _to_target(view, corners, near, at, left, low):
-    """(x, y, nearness) in the tile of the place `at` of a triangle, which is not nearer than the near plane."""
-    u, v = at
-    t = 1.0 - u - v
-    x = t * corners[0, 0] + u * corners[1, 0] + v * corners[2, 0]
-    y = t * corners[0, 1] + u * corners[1, 1] + v * corners[2, 1]
-    z = max(t * corners[0, 2] + u * corners[1, 2] + v * corners[2, 2], near)
-    x, y, w = to_target(view, x, y, z)
-    return x - left, y - low, w
-
-
-@device
 def draw_cut_out(view, target, width, height, left, low, corners, entry, cut_outs, mask, key):
     """Draw the triangle with corners (3, 3) in camera space where it is opaque, clipped at the near plane; whether it
     was written."""
-    near = view.near
-    k, s, t = _split(corners, near)
-    front = corners[0, 2] >= near if k < 0 else corners[k, 2] >= near
-    if k < 0 and not front:
-        return False
-    pieces = 2 if k >= 0 and not front else 1
     written = False
+    pieces, k, s, t = clip(corners, view.near)
     for piece in range(pieces):
-        a, b, c = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)
-        if k >= 0:
-            n, m = (k + 1) % 3, (k + 2) % 3
-            if front:
-                a, b, c = _on_edge(k, k, 0.0), _on_edge(k, n, s), _on_edge(k, m, t)
-            elif piece == 0:
-                a, b, c = _on_edge(k, n, s), _on_edge(n, n, 0.0), _on_edge(m, m, 0.0)
-            else:
-                a, b, c = _on_edge(k, n, s), _on_edge(m, m, 0.0), _on_edge(k, m, t)
-        x0, y0, w0 = _to_target(view, corners, near, a, left, low)
-        x1, y1, w1 = _to_target(view, corners, near, b, left, low)
-        x2, y2, w2 = _to_target(view, corners, near, c, left, low)
+        at = corners_of_piece(piece, pieces, k, s, t)
+        x, y, w = piece_to_tile(view, corners, at, left, low)
         if put_cut_out(
-            target, width, height, view.perspective, (x0, x1, x2), (y0, y1, y2), (w0, w1, w2), (a, b, c), entry,
-            cut_outs.cells, cut_outs.start[mask], cut_outs.side[mask], key,
+            target, width, height, view.perspective, x, y, w, at, entry, cut_outs.cells, cut_outs.start[mask],
+            cut_outs.side[mask], key,
         ):  # fmt: skip
             written = True
     return written

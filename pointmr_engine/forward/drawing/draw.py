@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pointmr_engine.forward.drawing.near_clip import at_place, clip, corners_of_piece
 from pointmr_engine.forward.drawing.surfel_lanes import (
     COFACTORS,
     DEPTH_SCALE,
@@ -257,54 +258,23 @@ def plane_of(corners):
 
 
 @device
+def piece_to_tile(view, corners, at, left, low):
+    """(x, y, nearness), three each, in subpixels of the tile: corners `at` of a piece of a triangle (near_clip)."""
+    a, b, c = at
+    ax, ay, aw = to_target(view, *at_place(corners, view.near, a))
+    bx, by, bw = to_target(view, *at_place(corners, view.near, b))
+    cx, cy, cw = to_target(view, *at_place(corners, view.near, c))
+    return (ax - left, bx - left, cx - left), (ay - low, by - low, cy - low), (aw, bw, cw)
+
+
+@device
 def draw_triangle(view, target, width, height, left, low, corners, entry):
     """Draw the triangle with corners (3, 3) in camera space, clipped at the near plane; whether it was written."""
-    inside = 0
-    for k in range(3):
-        if corners[k, 2] >= view.near:
-            inside += 1
-    if inside == 0:
-        return False
-    if inside == 3:
-        x0, y0, w0 = to_target(view, corners[0, 0], corners[0, 1], corners[0, 2])
-        x1, y1, w1 = to_target(view, corners[1, 0], corners[1, 1], corners[1, 2])
-        x2, y2, w2 = to_target(view, corners[2, 0], corners[2, 1], corners[2, 2])
-        return put_triangle(
-            target,
-            width,
-            height,
-            (x0 - left, x1 - left, x2 - left),
-            (y0 - low, y1 - low, y2 - low),
-            (w0, w1, w2),
-            entry,
-        )
     written = False
-    # a fan from the first point of the clipped polygon, which has three or four
-    count = 0
-    fx = fy = fw = bx = by = bw = 0.0
-    for k in range(3):
-        n = k + 1 if k < 2 else 0
-        za, zb = corners[k, 2], corners[n, 2]
-        for part in range(2):
-            if part == 0:
-                if za < view.near:
-                    continue
-                x, y, z = corners[k, 0], corners[k, 1], za
-            else:
-                if (za < view.near) == (zb < view.near):
-                    continue
-                t = (view.near - za) / (zb - za)
-                x = corners[k, 0] + t * (corners[n, 0] - corners[k, 0])
-                y = corners[k, 1] + t * (corners[n, 1] - corners[k, 1])
-                z = view.near
-            sx, sy, w = to_target(view, x, y, z)
-            sx -= left
-            sy -= low
-            if count == 0:
-                fx, fy, fw = sx, sy, w
-            elif count >= 2:
-                if put_triangle(target, width, height, (fx, bx, sx), (fy, by, sy), (fw, bw, w), entry):
-                    written = True
-            bx, by, bw = sx, sy, w
-            count += 1
+    pieces, k, s, t = clip(corners, view.near)
+    for piece in range(pieces):
+        at = corners_of_piece(piece, pieces, k, s, t)
+        x, y, w = piece_to_tile(view, corners, at, left, low)
+        if put_triangle(target, width, height, x, y, w, entry):
+            written = True
     return written
