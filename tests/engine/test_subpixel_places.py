@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pointmr_engine.forward.drawing import surfel_lanes
+from pointmr_engine.forward.drawing import near_clip, surfel_lanes
 from pointmr_engine.forward.drawing.cut_out_cover import cover_cut_out
 from pointmr_engine.forward.drawing.subpixel_places import INNER, subpixel_places
 from pointmr_engine.forward.drawing.subpixels import allocate_target, clear, cover_ellipse, cover_triangle
@@ -15,7 +15,6 @@ from pointmr_engine.forward.reconstruction.pixel_filter import filter_taps
 from pointmr_engine.numerics.jit import uncounted
 
 SIDE = 48
-ALL = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 WHOLE = 2.0  # opacity of what is drawn without gaps
 
 
@@ -29,7 +28,7 @@ def draw_triangle(target, width, height, x, y, w, entry):
 @uncounted
 def draw_cut_out(target, width, height, x, y, w, entry, opacity):
     return cover_cut_out(
-        target, width, height, True, (x[0], x[1], x[2]), (y[0], y[1], y[2]), (w[0], w[1], w[2]), ALL, entry,
+        target, width, height, True, (x[0], x[1], x[2]), (y[0], y[1], y[2]), (w[0], w[1], w[2]), near_clip.WHOLE, entry,
         opacity.reshape(-1), np.int64(0), np.int64(opacity.shape[1]), np.int64(0),
     )  # fmt: skip
 
