@@ -143,10 +143,11 @@ def move_to_opaque(cut_outs, fragments, first, count):
         if mask < 0:
             continue
         start, side = np.int64(cut_outs.start[mask]), np.int64(cut_outs.side[mask])
-        u, v = side * np.float64(fragments.place[k, 0]), side * np.float64(fragments.place[k, 1])
-        p, q = cell_of(u / side, v / side, side)
+        u, v = np.float64(fragments.place[k, 0]), np.float64(fragments.place[k, 1])
+        p, q = cell_of(u, v, side)
         if cells[start + q * side + p] >= OPAQUE:
             continue
+        u, v = side * u, side * v  # in cells
         moved = cells[start + q * side + p] < SEEN and cut_outs.most[mask] >= SEEN
         if moved:
             p, q = nearest_as_opaque(cells, start, side, u, v, SEEN, FAR)
