@@ -226,12 +226,18 @@ def _compile(
     warnings += found
     if walked:
         helper.begin(describe(scene, programs, settings))
+    environment = next((kept.environment for kept in (lights, sampler) if kept is not None), None)
+    if environment is None:
+        from pointmr_engine.raytracing.environment import Environment
+
+        clock.phase("gathering lights")
+        environment = Environment(scene.world)
     clock.phase("building hierarchies")
     if splatted and sampler is None:
         from pointmr_engine.forward.method import Sampler
 
-        sampler = Sampler(scene, geometry, programs, clock.tell)
-        warnings += sampler.environment.warnings
+        sampler = Sampler(geometry, programs, environment, clock.tell)
+        warnings += environment.warnings
     if walked and acceleration is None:
         from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
         from pointmr_engine.raytracing.lights import build_lights
@@ -239,7 +245,7 @@ def _compile(
         acceleration = build_acceleration(geometry, progress=clock.tell)
         acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
         clock.phase("gathering lights")
-        lights = build_lights(scene, geometry, programs)
+        lights = build_lights(scene, geometry, programs, environment)
         warnings += lights.warnings
     return Compiled(geometry, programs, acceleration, lights, sampler, warnings + geometry.warnings)
 

@@ -85,7 +85,7 @@ def seen_in(compiled, scene: Scene, deciding: list[Instances], picture: int):
         old = compiled.acceleration
         acceleration = Acceleration(geometry, old.arrays._replace(instances=tables), old.warnings)
         if picture == ALONE:  # else nothing that shines is hidden from what it lights
-            lights = build_lights(scene, geometry, compiled.programs)
+            lights = build_lights(scene, geometry, compiled.programs, compiled.lights.environment)
     if compiled.sampler is not None:
         sampler = compiled.sampler.of_geometry(geometry)
     return compiled._replace(geometry=geometry, acceleration=acceleration, lights=lights, sampler=sampler)

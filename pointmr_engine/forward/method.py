@@ -38,14 +38,12 @@ from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 class Sampler:
     """What forward mapping keeps of a scene between images: octrees, sample sets, materials and world."""
 
-    def __init__(
-        self, scene: Scene, geometry: Geometry, programs: list, settings: RenderSettings, progress=None
-    ):
+    def __init__(self, geometry: Geometry, programs: list, environment: Environment, progress=None):
         self.geometry, self.programs = geometry, programs
         self.octree = build_octree(geometry, progress)
         self.baker = Baker(geometry, programs)
         self.looks = self.baker.constant_looks()
-        self.environment = Environment(scene.world)
+        self.environment = environment
         self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(geometry, programs)
         self.near_cut_outs = NearCutOuts(sources)
         self.emissive_lamps = emissive_lamps(geometry, programs)

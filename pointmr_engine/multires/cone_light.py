@@ -31,7 +31,7 @@ class ConeLight:
     each of a pixel's fragments, in one stratified set: measured, they cost less there than cones that find as much.
     """
 
-    def __init__(self, scene, sampler, stage):
+    def __init__(self, sampler, stage):
         world = sampler.world_light
         self.world = world
         self.acceleration = stage.acceleration
@@ -62,8 +62,8 @@ class ConeLight:
         self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and bool(arrays.lamps.mis.all())
         self.bends = self.extended and lamps > 0 and not self.many
         of = arrays.lamps.source
-        self.alone = [compile_lamps([scene.lights[of[k]]])[0] for k in wide]
-        self.lamps = compile_lamps([scene.lights[of[k]] for k in wide])[0]
+        self.alone = [compile_lamps([lights.lamps[of[k]]])[0] for k in wide]
+        self.lamps = compile_lamps([lights.lamps[of[k]] for k in wide])[0]
         self._sampler, self._lock = sampler, threading.Lock()
 
     @property
@@ -98,13 +98,14 @@ class ConeLight:
 
 
 def sampled_lights(scene, sampler, lights):
-    """The scene's `lights`, with what is left to chance among what is sampled, as cones need it. Kept."""
+    """The scene's `lights` as cones need them: what is left to chance is sampled, the world's sun is a lamp. Kept."""
     materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
     same = all(sampled_sides(m, p) == sampled_sides(m, p, every=True) for m, p in materials)
-    if same and not lights.environment.unsampled:
+    environment = lights.environment
+    if same and not environment.unsampled and environment.sun is None:
         return lights
     if sampler.lights is None:
-        sampler.lights = build_lights(scene, sampler.geometry, sampler.programs, every=True)
+        sampler.lights = build_lights(scene, sampler.geometry, sampler.programs, environment, every=True)
     return sampler.lights
 
 

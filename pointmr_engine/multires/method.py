@@ -50,7 +50,7 @@ class TracedImage(Image):
             stage = replace(stage, acceleration=with_micromap(stage.acceleration, sampler))
         side = math.isqrt(settings.raytrace.cones)
         self.stage = stage = replace(stage, shader=stage.shader.narrowed(side * SUBPIXELS / CELL))
-        self.light = ConeLight(scene, sampler, stage) if settings.raytrace.secondary == "cones" else None
+        self.light = ConeLight(sampler, stage) if settings.raytrace.secondary == "cones" else None
         alpha = settings.raytrace.visibility == "alpha"
         if alpha and stage.needs.lens:
             alpha = False

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.warps import cosine_hemisphere, uniform_cone
+from pointmr_engine.raytracing.world_sun import WorldSun, bright_disc, measure
 from pointmr_engine.scene.graph import Link
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.world import World
@@ -51,6 +54,8 @@ class WorldMap(NamedTuple):
 class Environment:
     """The world's program, its importance map and who may see it. every: sampled even where the world says NONE."""
 
+    hidden: WorldSun | None = None  # what a lamp shines for instead: rays of the camera alone see it
+
     def __init__(self, world: World, every: bool = False):
         self.program: Program = compile_graph(world.graph, "background")
         self.visibility = world.visibility
@@ -65,7 +70,37 @@ class Environment:
             self.map = _no_map(UNIFORM, math.pi * abs(float(np.mean(self.constant))))
             return
         width = world.map_resolution if world.sampling == "MANUAL" else self.image_width
-        self.map = _build_map(self.program, min(max(int(width), 4), _LARGEST_MAP), _find_sun(world))
+        self._weight = _texels(self.program, min(max(int(width), 4), _LARGEST_MAP))
+        self._disc = _find_sun(world)
+        self.map = _build_map(self._weight, *_sun_samples(self.program, self._disc))
+
+    @cached_property
+    def sun(self) -> WorldSun | None:
+        """What a small disc of the world has beyond its surroundings, if all rays but the camera's see the same."""
+        if self.map.mode != MAP or self.hidden is not None:
+            return None
+        kinds = [kind for kind in (DIFFUSE, GLOSSY, TRANSMISSION) if self.visibility & kind]
+        disc = self._disc or bright_disc(self._weight, _solid_angle(*self._weight.shape))
+        if disc is None or not kinds:
+            return None
+        sun, *others = (measure(*disc, partial(self.radiance, visibility=kind)) for kind in (0, *kinds))
+        if sun is None or any(o is None or not np.isclose(o.light.power, sun.light.power) for o in others):
+            return None
+        sun.light.visibility = self.visibility & ~CAMERA  # which sees the disc itself
+        return sun
+
+    def without_sun(self) -> Environment:
+        """The same world, whose `sun` the camera alone sees."""
+        other = copy.copy(self)
+        other.hidden = sun = self.sun
+        other.__dict__.pop("sun")
+        other._weight, height = self._weight.copy(), len(self._weight)
+        width = self._weight.shape[1]
+        for row, d in enumerate(_rows(height, width)):
+            inside = sun.within(d, 2.0 * math.pi / width)
+            other._weight[row, inside] = np.abs(sun.rim).mean()
+        other.map = _build_map(other._weight, np.zeros(5), 0.0)
+        return other
 
     @property
     def unsampled(self) -> bool:
@@ -84,6 +119,8 @@ class Environment:
         if uniform is not None:
             return np.broadcast_to(uniform, (len(direction), 3)).copy()
         out = evaluate_background(self.program, direction, _RAY_KINDS.get(visibility, 0))
+        if self.hidden is not None and visibility != CAMERA:
+            out[self.hidden.within(direction)] = self.hidden.rim
         return np.nan_to_num(out, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
 
@@ -116,24 +153,54 @@ def _find_sun(world: World) -> tuple[np.ndarray, float] | None:
     return sun_direction(params), 0.5 * max(float(params.get("sun_size", 0.009512)), 0.0005)
 
 
-def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | None) -> WorldMap:
-    """Importance map of width x width / 2 texels, or of none where the cosine samples the world better."""
+def _solid_angle(height: int, width: int) -> np.ndarray:
+    """(height,) solid angles of the texels of each row."""
+    return np.diff(_edges(height)) * (2.0 * math.pi / width)
+
+
+def _edges(height: int) -> np.ndarray:
+    """(height + 1,) heights z of the borders of rows of equal angle, as images have them."""
+    return -np.cos(np.linspace(0.0, math.pi, height + 1))
+
+
+def _rows(height: int, width: int):
+    """(width, 3) unit directions of the texels of each row."""
+    azimuth = (np.arange(width) + 0.5) * (2.0 * math.pi / width) - math.pi
+    for angle in (np.arange(height) + 0.5) * (math.pi / height):
+        flat = math.sin(angle)
+        yield np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.full(width, -math.cos(angle))], 1)
+
+
+def _texels(program: Program, width: int) -> np.ndarray:
+    """(width / 2, width) float32: radiance by which the world is sampled, the channels' mean."""
     height = max(width // 2, 2)
-    # rows of equal angle, as images have them; a texel's density is uniform in solid angle
-    edges = -np.cos(np.linspace(0.0, math.pi, height + 1))
-    solid_angle = np.diff(edges) * (2.0 * math.pi / width)
     weight = np.empty((height, width), np.float32)
+    rows, chunk = _rows(height, width), max(1, 65536 // width)
+    for first in range(0, height, chunk):
+        d = np.concatenate([next(rows) for _ in range(min(chunk, height - first))])
+        radiance = np.abs(evaluate_background(program, d, 0)).mean(1)
+        weight[first : first + chunk] = np.nan_to_num(radiance, posinf=0.0).reshape(-1, width)
+    return weight
+
+
+def _sun_samples(program: Program, sun: tuple[np.ndarray, float] | None) -> tuple[np.ndarray, float]:
+    """(WorldMap.sun, radiance of its disc) of a sky's sun: direction, half angle."""
+    row = np.zeros(5)
+    if sun is None or not sun[1] > 0.0:
+        return row, 0.0
+    row[:3], row[3], row[4] = sun[0], 2.0 * math.sin(0.5 * sun[1]) ** 2, _SUN_SHARE
+    return row, float(np.abs(evaluate_background(program, sun[0][None, :], 0)).mean())
+
+
+def _build_map(weight: np.ndarray, sun: np.ndarray, disc: float) -> WorldMap:
+    """Importance map of texels of that radiance, or of none where the cosine samples the world better.
+
+    A texel's density is uniform in solid angle. sun: WorldMap.sun; disc: radiance of the sun's disc.
+    """
+    height, width = weight.shape
+    edges, solid_angle = _edges(height), _solid_angle(height, width)
     azimuth = (np.arange(width) + 0.5) * (2.0 * math.pi / width) - math.pi
     angle = (np.arange(height) + 0.5) * (math.pi / height)
-    chunk = max(1, 65536 // width)
-    for first in range(0, height, chunk):
-        rows = angle[first : first + chunk]
-        d = np.empty((len(rows), width, 3))
-        d[..., 0] = np.sin(rows)[:, None] * np.cos(azimuth)
-        d[..., 1] = np.sin(rows)[:, None] * np.sin(azimuth)
-        d[..., 2] = -np.cos(rows)[:, None]
-        radiance = np.abs(evaluate_background(program, d.reshape(-1, 3), 0)).mean(1)
-        weight[first : first + chunk] = np.nan_to_num(radiance, posinf=0.0).reshape(len(rows), width)
     of_rows = np.diff(edges) / (2.0 * width)
     along = weight @ np.stack([np.cos(azimuth), np.sin(azimuth), np.ones(width)], 1)
     mean = float(of_rows @ along[:, 2])
@@ -141,13 +208,8 @@ def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | Non
         return _no_map()
     square = float(of_rows @ np.einsum("ij,ij->i", weight, weight, dtype=np.float64))
     towards = of_rows @ (along * np.stack([np.sin(angle), np.sin(angle), -np.cos(angle)], 1))
-    sun_row = np.zeros(5)
-    if sun is not None and sun[1] > 0.0:
-        sun_row[:3], sun_row[3], sun_row[4] = sun[0], 2.0 * math.sin(0.5 * sun[1]) ** 2, _SUN_SHARE
-        disc = evaluate_background(program, sun[0][None, :], 0)
-        of_sun = float(np.abs(disc).mean()) * sun_row[3] / 2.0
-        mean, towards = mean + of_sun, towards + of_sun * sun_row[:3]
-        square += float(np.abs(disc).mean()) * of_sun
+    of_sun = disc * sun[3] / 2.0
+    mean, towards, square = mean + of_sun, towards + of_sun * sun[:3], square + disc * of_sun
     # of light that comes evenly from a part of all directions, the square of its mean over the mean of its square
     wide = min(math.sqrt(2.0 * mean * mean / square), 1.0)
     # spherical harmonics to the first order (Ramamoorthi and Hanrahan 2001)
@@ -155,14 +217,14 @@ def _build_map(program: Program, width: int, sun: tuple[np.ndarray, float] | Non
     radiance, weight = weight, _widened(weight)
     even = _even_share(radiance, weight, solid_angle, azimuth, angle)
     if even == 1.0:
-        return _no_map(MAP, irradiance, wide)._replace(sun=sun_row, towards=towards)
+        return _no_map(MAP, irradiance, wide)._replace(sun=sun, towards=towards)
     columns = np.zeros((height, width + 1), np.float32)
     total = np.cumsum(weight, axis=1, dtype=np.float64)
     row_weight = total[:, -1] * solid_angle
     total /= np.where(total[:, -1:] > 0.0, total[:, -1:], 1.0)
     columns[:, 1:] = total
     rows = np.concatenate([[0.0], np.cumsum(row_weight)])
-    return WorldMap(MAP, rows / rows[-1], columns, edges, sun_row, even, irradiance, towards, wide)
+    return WorldMap(MAP, rows / rows[-1], columns, edges, sun, even, irradiance, towards, wide)
 
 
 def _even_share(radiance, weight, solid_angle, azimuth, angle) -> float:

@@ -29,6 +29,7 @@ from pointmr_engine.raytracing.light_sampling import (
 )
 from pointmr_engine.raytracing.light_tree_build import build_light_tree
 from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.scene.light import Light
 from pointmr_engine.scene.scene import Scene
 
 __all__ = [
@@ -56,7 +57,8 @@ class Lights:
     chose the ray, inf where lights were not sampled at all (camera rays, mirrors): then the weight is 1.
 
     warnings: what was left out, by name. empty: nothing is ever sampled. only_met: something shines that is not sampled
-    (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it. turns: what
+    (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it. lamps: what
+    `arrays.lamps.source` numbers. turns: what
     `sample` is asked for in turn at every point, so that together they find all lights: here None alone, see `apart`.
     """
 
@@ -68,10 +70,12 @@ class Lights:
         placements: Placements | None,
         programs: list,
         materials: np.ndarray,
+        lamps: list[Light],
         only_met: bool,
         warnings: list[str],
     ):
         self.arrays = arrays
+        self.lamps = lamps
         self.environment = environment
         self.warnings = warnings
         self.only_met = only_met
@@ -133,7 +137,7 @@ class Lights:
 
     def _with(self, arrays: LightArrays, turns: list) -> Lights:
         parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
-        result = Lights(arrays, *parts, self.only_met, self.warnings)
+        result = Lights(arrays, *parts, self.lamps, self.only_met, self.warnings)
         result.turns, result.empty = turns, result.empty if arrays is self.arrays else not turns
         return result
 
@@ -279,17 +283,25 @@ def build_lights(
     scene: Scene,
     geometry: Geometry,
     programs: list,
+    environment: Environment | None = None,
     every: bool = False,
 ) -> Lights:
     """Compile the lights of `scene`.
 
     geometry: hierarchy.geometry.Geometry; programs: the materials' Programs in the order of geometry.materials.
+    environment: Environment(scene.world), where it is at hand.
     every: for methods whose diffuse surfaces send no rays that could meet a light by chance: what is left to chance is
-    sampled, too, a world, backs of surfaces, weak emission, but for glows and haze (emitters.find_emitters).
+    sampled, too, a world, backs of surfaces, weak emission, but for glows and haze (emitters.find_emitters); and the
+    world's sun is a lamp.
     """
-    lamps, warnings = compile_lamps(scene.lights)
+    if environment is None or (every and environment.unsampled):
+        environment = Environment(scene.world, every)
+    sources = list(scene.lights)
+    if every and environment.sun is not None:
+        sources.append(environment.sun.light)
+        environment = environment.without_sun()
+    lamps, warnings = compile_lamps(sources)
     emitters, material, places, more = find_emitters(geometry, programs, every)
-    environment = Environment(scene.world, every)
     warnings = warnings + more + environment.warnings
     extended = (lamps.shape != POINT) & (lamps.shape != DISTANT)
     suns = np.flatnonzero(extended & (lamps.shape > DISTANT))
@@ -309,4 +321,4 @@ def build_lights(
         for m, p in zip(geometry.materials, programs, strict=True)
     ]
     only_met = any(dark) or bool(more) or environment.unsampled
-    return Lights(arrays, environment, geometry, places, programs, material, only_met, warnings)
+    return Lights(arrays, environment, geometry, places, programs, material, sources, only_met, warnings)

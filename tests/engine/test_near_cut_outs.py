@@ -14,6 +14,7 @@ from pointmr_engine.forward.drawing.cut_outs import FINEST, lattices
 from pointmr_engine.forward.selection.near_cut_outs import CELL, LARGEST, ROOM, largest_in_view, lattice_sides
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.raytracing.camera import compile_camera
+from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import instance
@@ -100,7 +101,7 @@ def prepared(scene: Scene, sampler=None, width: int = 160) -> forward.Image:
     if sampler is None:
         geometry = compile_geometry(scene)
         programs = [compile_graph(m.graph) for m in geometry.materials]
-        sampler = forward.Sampler(scene, geometry, programs, settings)
+        sampler = forward.Sampler(geometry, programs, Environment(scene.world))
     image = forward.Image(sampler, scene, compile_camera(scene.camera, settings), settings)
     image.prepare(lambda: None)
     return image

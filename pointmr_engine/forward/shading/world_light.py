@@ -57,8 +57,12 @@ class WorldLight:
                 base[kind] = next(b for b in base.values() if b is not None)
             else:
                 base[kind] = _radiance_map(environment, kind)
-        if environment.map.sun[4] > 0.0 and base[DIFFUSE] is not None:
-            self._take_sun(environment, base)
+        sun = environment.sun
+        if sun is not None:  # a map would give it the shape of its texels, and no shadow
+            self.suns.append(sun.light)
+            for texels in {id(b): b for b in base.values() if b is not None}.values():
+                width = texels.shape[1]
+                texels.reshape(-1, 3)[sun.within(_directions(width), 4.0 / width)] = sun.rim
         halved = {id(b): _halvings(b) for b in base.values()}
         made, blurred = ({k: of(h) for k, h in halved.items()} for of in (_filtered, _blurred))
         self.diffuse, self.glossy, self.transmission = (made[id(base[kind])] for kind in kinds)
@@ -67,36 +71,6 @@ class WorldLight:
         self.mean = np.zeros(3)  # radiance over all directions
         if texels is not None:
             self.mean[:] = (texels * _solid_angle(texels.shape[1])).sum((0, 1)) / (4.0 * math.pi)
-
-    def _take_sun(self, environment: Environment, base: dict) -> None:
-        """Turn the disc of the sky's sun into a lamp: a map would give it the shape of its texels, and no shadow."""
-        sun = environment.map.sun
-        half = math.acos(1.0 - sun[3])
-        axes = _frame(sun[:3])
-        beside = math.cos(2.0 * half) * axes[2] + math.sin(2.0 * half) * axes[0]
-        found = environment.radiance(np.stack([sun[:3], beside]), DIFFUSE).astype(np.float64)
-        strength = np.maximum(found[0] - found[1], 0.0) * math.pi * math.sin(half) ** 2
-        peak = float(strength.max())
-        if not peak > 0.0:
-            return
-        frame = np.eye(4)
-        frame[:3, :3] = axes.T
-        self.suns.append(
-            Light(
-                "SUN", frame, tuple((strength / peak).tolist()), peak, angle=2.0 * half, name="sun of the sky"
-            )
-        )
-        for texels in {id(b): b for b in base.values() if b is not None}.values():
-            width = texels.shape[1]
-            close = _directions(width) @ sun[:3] > math.cos(half + 4.0 / width)
-            texels.reshape(-1, 3)[close] = found[1]
-
-
-def _frame(z: np.ndarray) -> np.ndarray:
-    """(3, 3): rows x, y, z of a frame about a unit direction."""
-    x = np.cross(z, (0.0, 0.0, 1.0) if abs(z[2]) < 0.9 else (1.0, 0.0, 0.0))
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
 
 
 def _directions(width: int) -> np.ndarray:
