@@ -225,6 +225,23 @@ def light_sky_texture():
 
 
 @feature()
+def light_sky_sun():
+    """A sky's sun: sharp shadows, and highlights in rough and polished metal."""
+    plane(matte(GREY), (0, 0, 0), 200.0)
+    camera(at=(0, -7.5, 2.0), target=(0, 0, 1.2), lens=38)
+    rough = principled("Rough", Base_Color=(0.9, 0.9, 0.9), Metallic=1.0, Roughness=0.3)
+    polished = principled("Polished", Base_Color=(0.9, 0.9, 0.9), Metallic=1.0, Roughness=0.1)
+    sphere(rough, (-1.35, 0.2, 0.9), 0.9)
+    sphere(polished, (-0.3, -1.6, 0.4), 0.4)
+    cube(matte(RED), (1.25, 0.1, 0.65), 1.3)
+    tree = tree_of(bpy.context.scene.world)
+    tree.nodes.clear()
+    sky = node(tree, "ShaderNodeTexSky", sun_elevation=0.6, sun_rotation=2.4, sun_size=0.02)
+    background = node(tree, "ShaderNodeBackground", {"Color": sky.outputs[0], "Strength": 0.05})
+    node(tree, "ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
+
+
+@feature()
 def light_emissive_mesh():
     """Emissive meshes as the only light: a panel that shines to both sides and a glowing ring."""
     cove()

@@ -53,7 +53,7 @@ def sky(**properties):
     return lambda tree: tree.node("TexSky", **properties).outputs[0]
 
 
-SUN = {"sun_elevation": 0.6, "sun_rotation": 0.8, "altitude": 500, "air_density": 1.3, "aerosol_density": 0.7}
+SUN = {"sun_elevation": 0.6, "sun_rotation": 2.4, "altitude": 500, "air_density": 1.3, "aerosol_density": 0.7}
 SUN |= {"sun_size": 0.2, "sun_intensity": 0.01}
 OLD = {"sun_direction": (0.3, 0.5, 0.7), "turbidity": 3.0}
 
@@ -61,14 +61,25 @@ OLD = {"sun_direction": (0.3, 0.5, 0.7), "turbidity": 3.0}
 @pytest.mark.parametrize(
     ("make", "tolerance"),
     [
-        (sky(sky_type="MULTIPLE_SCATTERING", **SUN), 0.015),
-        (sky(sky_type="SINGLE_SCATTERING", **SUN), 0.025),
-        (sky(sky_type="MULTIPLE_SCATTERING", **SUN | {"sun_elevation": -0.05}), 0.02),
+        (sky(), 0.001),
+        (sky(sky_type="MULTIPLE_SCATTERING", **SUN), 0.001),
+        (sky(sky_type="SINGLE_SCATTERING", **SUN), 0.001),
+        (sky(sky_type="MULTIPLE_SCATTERING", **SUN | {"sun_elevation": -0.05, "sun_rotation": 5.0}), 0.001),
+        (sky(sky_type="MULTIPLE_SCATTERING", **SUN | {"sun_elevation": 2.0, "sun_rotation": -1.0}), 0.001),
         (sky(sky_type="PREETHAM", **OLD), 0.002),
         (sky(sky_type="HOSEK_WILKIE", **OLD), 0.03),
         (sky(sky_type="HOSEK_WILKIE", turbidity=1.0, ground_albedo=1.0), 0.002),
     ],
-    ids=["multiple", "single", "dusk", "preetham", "hosek", "hosek at the zenith"],
+    ids=[
+        "usual",
+        "multiple",
+        "single",
+        "dusk",
+        "beyond the zenith",
+        "preetham",
+        "hosek",
+        "hosek at the zenith",
+    ],
 )
 def test_skies(tmp_path, make, tolerance):
     """The relative mean difference; a pixel on the sun disc's edge may fall to either side."""

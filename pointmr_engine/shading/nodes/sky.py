@@ -98,7 +98,7 @@ def _analytic(params: dict, d: np.ndarray) -> np.ndarray:
 def _scattering(params: dict, d: np.ndarray) -> np.ndarray:
     elevation, rotation = _sun_position(params)
     height = np.arcsin(np.clip(d[:, 2], -1, 1))
-    azimuth = np.arctan2(d[:, 0], d[:, 1])
+    azimuth = np.arctan2(d[:, 1], d[:, 0])
     x = (-azimuth - np.pi / 2 + rotation) / (2 * np.pi)
     # rows are denser toward the horizon
     y = np.copysign(np.sqrt(np.abs(height) * 2 / np.pi), height) * 0.5 + 0.5
