@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import bpy
 
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.shading.nodes import NODES
+from pointmr_engine.shading.nodes.registry import From
 
 from .node_table import Rule, params_of, rule_of
 
@@ -170,7 +172,7 @@ class Translator:
                 except (ValueError, AttributeError):
                     value = None
         if value is None:
-            return 1.0 if output.identifier == "Alpha" else 0.0
+            return 0.0
         return plain(value)
 
     # ---- nodes
@@ -182,6 +184,8 @@ class Translator:
             if name is None or name in inputs or (not socket.enabled and not socket.is_linked):
                 continue
             value = self.value(socket, scope)
+            if value is None and reads_hidden(rule.kind, name):
+                value = constant_of(socket, hidden=True)
             if value is not None:
                 inputs[name] = value
         params = params_of(node, self)
@@ -227,11 +231,24 @@ def plain(value: Any) -> Any:
         return 0.0
 
 
-def constant_of(socket) -> Any:
-    """An unlinked input's value, None where the node has a default of its own (normals, coordinates) or no value."""
-    if socket.hide_value or not hasattr(socket, "default_value") or socket.type not in _WRAPPERS:
+def constant_of(socket, hidden: bool = False) -> Any:
+    """An unlinked input's value, None where the node has a default of its own (normals, coordinates) or no value.
+
+    hidden: values that Blender does not show count, too.
+    """
+    if (
+        (socket.hide_value and not hidden)
+        or not hasattr(socket, "default_value")
+        or socket.type not in _WRAPPERS
+    ):
         return None
     return plain(socket.default_value)
+
+
+def reads_hidden(kind: str, name: str) -> bool:
+    """Whether an input of the engine's node without a link is the value that Blender does not show, as in Cycles."""
+    known = NODES[kind].inputs.get(name) if kind in NODES else None
+    return known is not None and not isinstance(known[1], From)
 
 
 def active_output(tree):

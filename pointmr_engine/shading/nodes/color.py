@@ -168,8 +168,7 @@ def _bright_contrast(c: Call) -> np.ndarray:
 @node("gamma", {"color": (COLOR, 1.0), "gamma": (FLOAT, 1.0)}, {"color": COLOR})
 def _gamma(c: Call) -> np.ndarray:
     color, gamma = c["color"], c.vector("gamma")
-    powered = np.where(color > 0, np.power(np.maximum(color, 1e-37), gamma), color)
-    return np.where(gamma == 0, 1, powered)
+    return np.where(color > 0, np.power(np.maximum(color, 1e-37), gamma), color)
 
 
 @node("invert", {"fac": (FLOAT, 1.0), "color": (COLOR, 0.0)}, {"color": COLOR})

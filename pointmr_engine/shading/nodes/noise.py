@@ -196,7 +196,7 @@ def _voronoi(c: Call) -> dict[str, np.ndarray]:
 
 @node(
     "white_noise_texture",
-    {"vector": _GENERATED, "w": (FLOAT, 0.0)},
+    {"vector": (VECTOR, 0.0), "w": (FLOAT, 0.0)},
     {"value": FLOAT, "color": COLOR},
     ignores=_ignores_unused,
     fine=True,

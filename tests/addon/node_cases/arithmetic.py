@@ -186,6 +186,18 @@ def _bright(t: Tree):
     return t.node("BrightContrast", {0: t.color(), 1: 0.2, 2: 0.6}).outputs[0]
 
 
+@case("gamma of nought", 1e-4)
+def _gamma_of_nought(t: Tree):
+    return t.node("Gamma", {0: (0.5, 0.0, 1.2, 1.0), 1: 0.0}).outputs[0]
+
+
+@case("a value that is not shown", EXACT)
+def _hidden(t: Tree):
+    """Blender hides the vector's value, and Cycles reads it."""
+    inputs = {"Vector": (-0.5, -1.4, -1.2), "Center": (-0.9, -1.2, 0.4), "Angle": t.ramp()}
+    return offset(t, t.node("VectorRotate", inputs, rotation_type="X_AXIS").outputs[0])
+
+
 @case("gamma", 1e-4)
 def _gamma(t: Tree):
     return t.node("Gamma", {0: t.color(), 1: 2.2}).outputs[0]

@@ -105,6 +105,13 @@ def _white(dimensions: str) -> Case:
 
 for _d in ("1D", "2D", "3D", "4D"):
     CASES[f"white noise {_d}"] = (_white(_d), EXACT)
+
+
+@case("white noise of nothing")
+def _white_noise_of_nothing(t: Tree):
+    return t.node("TexWhiteNoise", noise_dimensions="3D").outputs[1]
+
+
 for _kind in ("LINEAR", "QUADRATIC", "EASING", "DIAGONAL", "RADIAL", "SPHERICAL", "QUADRATIC_SPHERE"):
     CASES[f"gradient {_kind}"] = (
         lambda t, kind=_kind: t.node("TexGradient", {0: t.coordinates()}, gradient_type=kind).outputs[0],
