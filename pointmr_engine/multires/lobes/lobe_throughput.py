@@ -16,7 +16,7 @@ LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in
 
 @device
 def _from_inside(lobes, k, j, tables, cosine):
-    """(reflected rgb, transmitted rgb) of glass seen from inside, where the tables of albedo know no total reflection.
+    """(reflected rgb, transmitted rgb) of what refracts, seen from inside, where the tables of albedo know no total reflection.
 
     The mean over facets that lean as a rough surface's do, so that no side is 0 to which one of them may send light.
     """
@@ -40,7 +40,7 @@ def passed_by(paths, lobes, k, j, tables_of_albedo, incoming):
     base = kind & KIND_MASK
     if base <= TRANSLUCENT:
         return zero, zero
-    if base == GLASS and lobes.data[k, j, IOR] < 1.0:
+    if (base == GLASS or base == REFRACTION) and lobes.data[k, j, IOR] < 1.0:
         cosine = dot(load3(lobes.data, k, j, NORMAL), incoming)
         reflected, transmitted = _from_inside(lobes, k, j, tables_of_albedo, cosine)
     else:
