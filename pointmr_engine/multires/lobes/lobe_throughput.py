@@ -16,7 +16,7 @@ LEAN, LEANS = 2.0, 5  # how far facets lean whose Fresnel terms are averaged, in
 
 @device
 def _from_inside(lobes, k, j, tables, cosine):
-    """(reflected rgb, transmitted rgb) of what refracts, seen from inside, where the tables of albedo know no total reflection.
+    """(reflected rgb, transmitted rgb) of what refracts, seen from inside: tables of albedo know no total reflection.
 
     The mean over facets that lean as a rough surface's do, so that no side is 0 to which one of them may send light.
     """

@@ -21,6 +21,7 @@ _TANGENT = (VECTOR, From("tangent"))
 _UNIT = (0.0, 1.0)
 _POSITIVE = (0.0, None)
 _IOR = (1e-5, None)
+_FILM = {"thin_film_thickness": (FLOAT, 0.0), "thin_film_ior": (FLOAT, 1.33)}
 
 
 def _shader(kind: str, leaf: int, inputs: dict, **options) -> None:
@@ -59,8 +60,7 @@ _shader(
         "sheen_tint": (COLOR, (1.0, 1.0, 1.0)),
         "emission_color": (COLOR, (1.0, 1.0, 1.0)),
         "emission_strength": (FLOAT, 0.0),
-        "thin_film_thickness": (FLOAT, 0.0),
-        "thin_film_ior": (FLOAT, 1.33),
+        **_FILM,
     },
     anisotropy="anisotropic",
     limits={
@@ -119,9 +119,16 @@ _shader(
         "rotation": (FLOAT, 0.0),
         "normal": _NORMAL,
         "tangent": _TANGENT,
+        **_FILM,
     },
     anisotropy="anisotropy",
-    limits={"base_color": _UNIT, "edge_tint": _UNIT, "roughness": _UNIT, "anisotropy": _UNIT},
+    limits={
+        "base_color": _UNIT,
+        "edge_tint": _UNIT,
+        "roughness": _UNIT,
+        "anisotropy": _UNIT,
+        "thin_film_ior": _IOR,
+    },
 )
 _shader(
     "glass",
@@ -131,9 +138,10 @@ _shader(
         "roughness": (FLOAT, 0.0),
         "ior": (FLOAT, 1.5),
         "normal": _NORMAL,
+        **_FILM,
     },
     tint="color",
-    limits={"color": _POSITIVE, "roughness": _UNIT, "ior": _IOR},
+    limits={"color": _POSITIVE, "roughness": _UNIT, "ior": _IOR, "thin_film_ior": _IOR},
 )
 _shader(
     "refraction",
