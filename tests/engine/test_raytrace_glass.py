@@ -21,6 +21,7 @@ from pointmr_engine import (
 )
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.group import instance
 from tests.engine.instanced import sphere
 from tests.engine.small_scenes import at, half_a_sky, quad
 from tests.engine.test_raytrace_light import DARK, card, image
@@ -198,6 +199,35 @@ def test_rough_panes_blur_the_sky_as_much_as_by_random_rays(ior, roughness):
     for method, most in (("raytrace", 0.018), ("forward", 0.02)):
         found = np.mean([image(scene, method=method, seed=s) for s in range(4)], 0).mean((0, 2))
         assert np.abs(found - exact).mean() < most, method
+
+
+def refracting(**values) -> Material:
+    """A Refraction BSDF and no reflection: what is lost is seen."""
+    node = Node("refraction", values | {"color": (1.0, 1.0, 1.0)}, {"distribution": "beckmann"})
+    return Material("refracting", graph=Graph({"b": node}, surface=Link("b", "bsdf")))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 50.0, 75.0])
+def test_rough_slabs_let_light_out_at_their_back(degrees):
+    """Their lower sides reflect all that arrives about its mean direction; facets that lean let some of it pass."""
+    side = Group("side", [quad(200.0, material=refracting(ior=1.45, roughness=1.0))])
+    below = np.diag([1.0, -1.0, -1.0, 1.0])
+    below[2, 3] = -0.2
+    a = math.radians(degrees)
+    camera = Camera(
+        look((0, -5 * math.sin(a), 5 * math.cos(a)), (0, 1e-3, 0)), kind="ORTHOGRAPHIC", ortho_scale=0.2
+    )
+    root = Group("root", instances=[instance(side), instance(side, below)])
+    scene, cache = Scene(root, camera, [], uniform_world((0.5, 0.5, 0.5))), Cache()
+    exact = image(scene, cache, method="distributed", samples=64).mean()
+    assert image(scene, cache, cones=4).mean() == pytest.approx(exact, rel=0.02) and 0.1 < exact < 0.4
+
+
+def test_what_hardly_bends_light_is_as_bright_as_what_is_about_it():
+    """A bubble of an index of nearly 1: its lobe is narrower than directions are told apart."""
+    root = Group("root", [ball(refracting(ior=1.02, roughness=0.0))])
+    ours = image(Scene(root, CAMERA, [], uniform_world((0.3, 0.3, 0.3))))
+    assert ours == pytest.approx(0.3, abs=0.03) and ours.mean() == pytest.approx(0.3, abs=1e-3)
 
 
 def test_glass_that_lets_shadow_rays_through_throws_a_light_shadow():

@@ -45,6 +45,7 @@ from pointmr_engine.shading.bsdf.layout import (
     KIND_MASK,
     NORMAL,
     REFLECTION,
+    SINGULAR_ALPHA_SQUARED,
     SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
@@ -370,9 +371,12 @@ def _refract(
         return m
     if not refracts:
         return m
-    pdf = BY_LOBE if sampled and singular == 0 else math.inf
+    sharp = (
+        singular != 0 or bend * bend <= SINGULAR_ALPHA_SQUARED
+    )  # what hardly bends light hardly spreads it
+    pdf = BY_LOBE if sampled and not sharp else math.inf
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
-        seen, pdf, 0.0 if singular else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record, own, shape,
+        seen, pdf, 0.0 if sharp else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record, own, shape,
         inverse,
     )  # fmt: skip
