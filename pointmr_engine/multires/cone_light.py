@@ -15,13 +15,16 @@ from pointmr_engine.multires.lens.lens import refracts, sharpest
 from pointmr_engine.multires.sharing.world_rays import WORTH
 from pointmr_engine.raytracing.emitters import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
-from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, compile_lamps, is_beam
+from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, TAN_SPREAD, compile_lamps
 from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
 
 # shadow rays of a fragment to the world, to emitters, to one of many lights
 WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4  # of a point; of first surfaces to the world: see world_rays
 FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
+SOFT = (
+    0.3  # tangent of the half angle up to which an area light's spread makes its shadows too narrow for cones
+)
 
 
 class ConeLight:
@@ -110,8 +113,8 @@ def sampled_lights(scene, sampler, lights):
 
 
 def _is_wide(lamps, k: int) -> bool:
-    """Whether lamp k has wide penumbras, and looks the same from all sides: beams have edges that take rays, too."""
+    """Whether lamp k has wide penumbras, and is more to a point than a small part of itself, as narrow beams are."""
     row, shape = lamps.values[k], lamps.shape[k]
     if shape == SUN:
         return row[CONE] > 1.0 - math.cos(SHARP)
-    return shape not in (POINT, DISTANT) and not is_beam(lamps, k) and bool(lamps.cast_shadow[k])
+    return shape not in (POINT, DISTANT) and row[TAN_SPREAD] > SOFT

@@ -171,7 +171,7 @@ def _compile_area(
 
 
 @uncounted
-def _spot_attenuation(row, dx, dy, dz):
+def spot_attenuation(row, dx, dy, dz):
     """Share of a spot's intensity that leaves against the unit direction d (from the lit point to the lamp)."""
     x = -(row[LOCAL] * dx + row[LOCAL + 1] * dy + row[LOCAL + 2] * dz)
     y = -(row[LOCAL + 3] * dx + row[LOCAL + 4] * dy + row[LOCAL + 5] * dz)
@@ -231,7 +231,7 @@ def _sample_round(row, shape, px, py, pz, nx, ny, nz, transmissive, u1, u2):
     if shape == POINT:
         scale = 1.0 / d2
         if spot:
-            scale *= _spot_attenuation(row, ax, ay, az)
+            scale *= spot_attenuation(row, ax, ay, az)
         return ax, ay, az, d, 1.0, scale
     cone = _round_cone(row, shape, d2)
     if cone == 0.0:
@@ -251,7 +251,7 @@ def _sample_round(row, shape, px, py, pz, nx, ny, nz, transmissive, u1, u2):
             t = d / (1.0 - h)
     scale = 1.0
     if spot:
-        scale = _spot_attenuation(row, dx, dy, dz)
+        scale = spot_attenuation(row, dx, dy, dz)
     return dx, dy, dz, t, 1.0 / (2.0 * math.pi * cone), scale
 
 
@@ -301,7 +301,7 @@ def _inside_area(row, shape, x, y):
 
 
 @uncounted
-def _area_point(row, px, py, pz):
+def area_point(row, px, py, pz):
     """The point in an area light's frame: along its sides and in front of it."""
     cx, cy, cz = px - row[PX], py - row[PY], pz - row[PZ]
     x = cx * row[UX] + cy * row[UY] + cz * row[UZ]
@@ -312,7 +312,7 @@ def _area_point(row, px, py, pz):
 @uncounted
 def _sample_area(row, shape, px, py, pz, u1, u2):
     """sample_lamp for area lights."""
-    x, y, h = _area_point(row, px, py, pz)
+    x, y, h = area_point(row, px, py, pz)
     if h <= 0.0:
         return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
     if row[TAN_SPREAD] == 0.0:
@@ -392,7 +392,7 @@ def intersect_lamp(lamps, i, px, py, pz, dx, dy, dz):
             return -1.0
         return t
     if shape == RECTANGLE or shape == ELLIPSE:
-        x, y, h = _area_point(row, px, py, pz)
+        x, y, h = area_point(row, px, py, pz)
         approach = -(dx * row[AX] + dy * row[AY] + dz * row[AZ])
         if approach <= 0.0 or h <= 0.0 or row[TAN_SPREAD] == 0.0:
             return -1.0
@@ -421,12 +421,12 @@ def lamp_pdf_scale(lamps, i, px, py, pz, nx, ny, nz, transmissive, dx, dy, dz, t
         cone = _round_cone(row, shape, d2)
         scale = 1.0
         if row[SPOT] != 0.0:
-            scale = _spot_attenuation(row, dx, dy, dz)
+            scale = spot_attenuation(row, dx, dy, dz)
             if shape == SPHERE:
                 cone = min(cone, row[SPOT_CONE])
         return 1.0 / (2.0 * math.pi * cone), scale
     if shape == RECTANGLE or shape == ELLIPSE:
-        x, y, h = _area_point(row, px, py, pz)
+        x, y, h = area_point(row, px, py, pz)
         scale = _spread_scale(row, h / t)
         region, cu, cv, a, b = _area_region(row, shape, x, y, h)
         if a == 0.0 or scale == 0.0:

@@ -56,7 +56,7 @@ def shares_of(lamps, masks: np.ndarray, cones, terms, rows, behind: int = NOTHIN
     bits = (masks.astype(np.uint64) << np.arange(64, dtype=np.uint64)).sum(1, dtype=np.uint64)
     share = np.full(int(rows[:n].max()) + 1, 7.0, np.float32)
     behind = np.full(len(share), behind, np.uint8)
-    take_shares(bits, np.int64(lamps.shape[0]), cones, terms, behind, rows, np.int64(n), share)
+    take_shares(bits, lamps, np.int64(0), cones, terms, behind, rows, np.int64(n), share)
     return share[rows[:n]].astype(float)
 
 

@@ -12,6 +12,7 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import CAMERA, VISIBLE, instance
 from tests.engine.small_scenes import from_above, quad
 from tests.engine.test_cut_outs import leaf, leaves
+from tests.engine.test_raytrace_glass import ball
 from tests.engine.test_raytrace_light import DARK, card, image
 
 GREY = principled(base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0)
@@ -105,3 +106,29 @@ def test_long_lamps_light_what_is_near_them(shape, height, turn, method):
     ours = image(scene, cache, method=method)
     np.testing.assert_allclose(ours[12:24, 18:30].mean(), exact[12:24, 18:30].mean(), rtol=0.006)
     assert np.abs(ours - exact).mean() < 0.006 * exact.mean()
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        Light("POINT", look((-2, -3, 4), (0, 0, 0)), power=300.0, radius=0.4, cast_shadow=False),
+        Light("SPOT", look((-2, -3, 4), (0, 0, 0)), power=300.0, radius=0.4, spot_angle=0.8),
+        Light("AREA", look((-2, -3, 4), (0, 0, 0)), power=300.0, size_x=1.2, spread=1.7),
+    ],
+    ids=["no shadow", "spot", "spread"],
+)
+def test_highlights_and_shadows_of_beams_have_no_noise(light):
+    """By rays, the highlight's light differed by a third from image to image."""
+    metal = principled("metal", base_color=(0.8, 0.8, 0.8), metallic=1.0, roughness=0.15)
+    floor = quad(6.0, -1.05, GREY, "floor")
+    scene = Scene(
+        Group("root", [ball(metal), floor]),
+        Camera(look((0, -6, 2), (0, 0, 0)), focal_length=70),
+        [light],
+        DARK,
+    )
+    cache = Cache()
+    exact = np.mean([image(scene, cache, method="distributed", samples=256, seed=s) for s in range(2)], 0)
+    ours = np.array([image(scene, cache, seed=s) for s in range(4)])
+    assert ours.std(0).mean() < 0.005 * exact.mean()
+    assert np.abs(ours.mean(0) - exact).mean() < 0.05 * exact.mean()

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.forward.shading.lamp_points import SHARP, points_of_lamp
 from pointmr_engine.forward.shading.lamps_in_lobes import (
     hide_lobes,
     lamp_in_lobes,
@@ -21,27 +22,8 @@ from pointmr_engine.forward.shading.lamps_in_lobes import (
 from pointmr_engine.forward.shading.world_light import world_irradiance, world_lobe
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
-    AX,
-    AY,
-    AZ,
-    CONE,
     DISTANT,
-    ELLIPSE,
-    HALF_U,
-    HALF_V,
     POINT,
-    PX,
-    PY,
-    PZ,
-    RADIUS,
-    RECTANGLE,
-    SUN,
-    UX,
-    UY,
-    UZ,
-    VX,
-    VY,
-    VZ,
     sample_lamp,
 )
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
@@ -64,19 +46,6 @@ from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
 from pointmr_engine.shading.bsdf.widening import is_glossy, set_roughness
 from pointmr_engine.shading.lobes import evaluate
 
-TWO, ROW_OF_FOUR, ROW_OF_EIGHT = (
-    0.05,
-    0.6,
-    4.0,
-)  # squared angles (sr) from which a lamp's side is so many points
-SHARP = 0.005  # solid angle from which a lamp is sixteen points for lobes that are narrower than it
-LONG = 4.0  # times as long as it is wide: a rectangle whose sixteen points are two rows of eight
-# by which points are moved outwards from a lamp's middle, so that their mean square distance from it is the lamp's:
-# of rows of n points, n a power of two, by sides of a rectangle and by the concentric mapping of round lamps
-APART = (
-    (1.0, 1.1547, 1.0, 1.0328, 1.0, 1.0, 1.0, 1.0079),
-    (1.0, 1.4142, 1.0, 1.069, 1.0, 1.0, 1.0, 1.016),
-)
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
 
 
@@ -129,44 +98,6 @@ def _whole_lamp(lamps, i, px, py, pz, nx, ny, nz, transmissive):
 
 
 @device
-def _sees_a_part(lamps, i, px, py, pz, n):
-    """Whether the plane of a surface of normal n through p may cut lamp i in two."""
-    row, shape = lamps.values[i], lamps.shape[i]
-    if shape == SUN:
-        middle, reach = -dot(n, (row[AX], row[AY], row[AZ])), math.sqrt(row[CONE] * (2.0 - row[CONE]))
-    else:
-        middle, reach = dot(n, (row[PX] - px, row[PY] - py, row[PZ] - pz)), row[RADIUS]
-        if shape == RECTANGLE or shape == ELLIPSE:
-            reach = row[HALF_U] * abs(dot(n, (row[UX], row[UY], row[UZ])))
-            reach += row[HALF_V] * abs(dot(n, (row[VX], row[VY], row[VZ])))
-    return abs(middle) < reach
-
-
-@device
-def _row_of_points(square):
-    """How many points a side of a lamp is that is seen under an angle of this square."""
-    if square > ROW_OF_FOUR:
-        return np.int64(8) if square > ROW_OF_EIGHT else np.int64(4)
-    return np.int64(2) if square > TWO else np.int64(1)
-
-
-@device
-def _grid_of_points(lamps, i, solid, sharp):
-    """(points along a lamp's sides u, v), a lamp of `solid` sr; sharp: whether a lobe is narrower than the lamp."""
-    row, shape = lamps.values[i], lamps.shape[i]
-    longer = 1.0
-    if shape == RECTANGLE or shape == ELLIPSE:
-        longer = row[HALF_U] / row[HALF_V]
-    across, up = _row_of_points(solid * longer), _row_of_points(solid / longer)
-    if sharp:
-        least_across = np.int64(8) if longer > LONG else np.int64(2) if longer * LONG < 1.0 else np.int64(4)
-        across, up = max(across, least_across), max(up, np.int64(16) // least_across)
-    if shape == ELLIPSE:
-        across = up = max(across, up)
-    return across, up
-
-
-@device
 def _sharpest(lobes, i, alpha):
     """The least squared roughness of point i's microfacet lobes; 1 where it has none."""
     least = 1.0
@@ -210,13 +141,11 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             dx, dy, dz, solid, scale = _whole_lamp(
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
             )
-            if solid > 0.0 and _sees_a_part(lamps, np.int64(i), px, py, pz, normal):
-                across = up = np.int64(8)
-            else:
-                sharp = solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < solid
-                across, up = _grid_of_points(lamps, np.int64(i), solid, sharp)
+            sharp = solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < solid
+            across, up, apart_u, apart_v = points_of_lamp(
+                lamps, np.int64(i), px, py, pz, normal, solid, sharp
+            )
             points = across * up
-            apart = APART[0 if lamps.shape[i] == RECTANGLE else 1]
             if points == 1 and plane >= 1.0 and not transmissive:
                 if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
                     continue
@@ -241,8 +170,8 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                 widened = False
             for p in range(points):
                 if points > 1:
-                    u = 0.5 + apart[across - 1] * ((p % across + 0.5) / across - 0.5)
-                    v = 0.5 + apart[up - 1] * ((p // across + 0.5) / up - 0.5)
+                    u = 0.5 + apart_u * ((p % across + 0.5) / across - 0.5)
+                    v = 0.5 + apart_v * ((p // across + 0.5) / up - 0.5)
                     dx, dy, dz, _, pdf, scale = sample_lamp(
                         lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive, u, v
                     )

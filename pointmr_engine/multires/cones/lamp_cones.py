@@ -17,6 +17,7 @@ from pointmr_engine.raytracing.lamps import (
     AY,
     AZ,
     CONE,
+    COS_HALF,
     ELLIPSE,
     HALF_U,
     HALF_V,
@@ -25,8 +26,11 @@ from pointmr_engine.raytracing.lamps import (
     PZ,
     RADIUS,
     RECTANGLE,
+    SMOOTH,
     SPHERE,
+    SPOT,
     SUN,
+    TAN_SPREAD,
     UX,
     UY,
     UZ,
@@ -47,9 +51,9 @@ EDGE_ON = 1e-3  # cosine below which flat lamps are not seen
 LIT = 2 / 3
 _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
 # what take_shares needs of a cone: how its cells are shifted, cosines at the point towards the lamp and along its
-# sides, cosines between these and the cone's axis
-SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y = range(7)
-TERMS = 7
+# sides, cosines between these and the cone's axis, and between all three and the lamp's axis
+SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y, FACING, FACING_X, FACING_Y = range(10)
+TERMS = 10
 NOTHING, BUMPS, ALL = 0, 1, 2  # of a point: what a lamp behind it may light
 
 
@@ -206,6 +210,9 @@ def lamp_cones(
         terms[m, SHIFT_X], terms[m, SHIFT_Y] = shift_x, shift_y
         terms[m, TOWARDS], terms[m, ALONG_X], terms[m, ALONG_Y] = towards, along_x, along_y
         terms[m, LEAN_X], terms[m, LEAN_Y] = dot(d, x), dot(d, y)
+        axis = -row[AX], -row[AY], -row[AZ]
+        terms[m, FACING] = dot(d, axis)
+        terms[m, FACING_X], terms[m, FACING_Y] = dot(x, axis), dot(y, axis)
         cones.origin[m, 0], cones.origin[m, 1], cones.origin[m, 2] = px, py, pz
         cones.start[m, 0] = cones.start[m, 1] = 0.0
         _set_frame(cones, m, x, y, across, d)
@@ -221,10 +228,20 @@ def lamp_cones(
 
 
 @device
-def _irradiance(cones, terms, m, i, j, shape, both):
-    """Of the irradiance that cone m's lamp brings, what cell (i, j) does: its solid angle and the cosine at the point.
+def _share_of_beam(row, cosine):
+    """What a beam lets out at an angle to its axis, by the cosine; in any unit, and a round one of a scaled spot."""
+    if row[SPOT] != 0.0:
+        t = min(max((cosine - row[COS_HALF]) * row[SMOOTH], 0.0), 1.0)
+        return t * t * (3.0 - 2.0 * t)
+    return max(row[TAN_SPREAD] - math.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, EDGE_ON), 0.0)
 
-    In any unit; 0 for cells whose middles the lamp does not fill.
+
+@device
+def _irradiance(cones, terms, m, i, j, shape, row, beam, both):
+    """Of the irradiance that cone m's lamp brings, what cell (i, j) does: its solid angle, the cosine at the point, and
+    what a `beam` lets out that way.
+
+    In any unit; 0 for cells whose middles the lamp does not fill. shape, row: the lamp's.
     """
     u, v = CELL * (i - 3.5 + terms[m, SHIFT_X]), CELL * (j - 3.5 + terms[m, SHIFT_Y])
     if shape == RECTANGLE:
@@ -241,15 +258,18 @@ def _irradiance(cones, terms, m, i, j, shape, both):
     u *= cones.spread[m, 0]
     v *= cones.spread[m, 1]
     square = 1.0 + 2.0 * (u * terms[m, LEAN_X] + v * terms[m, LEAN_Y]) + u * u + v * v
+    if beam:
+        facing = terms[m, FACING] + u * terms[m, FACING_X] + v * terms[m, FACING_Y]
+        cosine *= _share_of_beam(row, facing / math.sqrt(square))
     return cosine / (square * square)
 
 
 @device
-def _arriving(mask, shape, cones, terms, m, both):
+def _arriving(mask, shape, row, beam, cones, terms, m, both):
     """(irradiance of cone m's lamp, what the blocked sub-rays in `mask` leave of it)."""
     total, left = 0.0, 0.0
     for b in range(64):
-        e = _irradiance(cones, terms, m, b & 7, b >> 3, shape, both)
+        e = _irradiance(cones, terms, m, b & 7, b >> 3, shape, row, beam, both)
         total += e
         if (mask >> np.uint64(b)) & np.uint64(1) == np.uint64(0):
             left += e
@@ -257,17 +277,19 @@ def _arriving(mask, shape, cones, terms, m, both):
 
 
 @uncounted
-def take_shares(masks, shape, cones: Cones, terms, behind, rows, count, share):
-    """share (N,) float32 of points rows[0..count]: what the blocked sub-rays in `masks` leave of a lamp's irradiance.
+def take_shares(masks, lamps, i, cones: Cones, terms, behind, rows, count, share):
+    """share (N,) float32 of points rows[0..count]: what the blocked sub-rays in `masks` leave of lamp i's irradiance.
 
-    shape: the lamp's; cones, terms, behind: of lamp_cones.
+    cones, terms, behind: of lamp_cones.
     """
+    shape, row = lamps.shape[i], lamps.values[i]
+    beam = row[SPOT] != 0.0 or row[TAN_SPREAD] < math.inf
     for m in range(count):
         mask, k = masks[m], rows[m]
         if mask == np.uint64(0):
             share[k] = 1.0
             continue
-        total, left = _arriving(mask, shape, cones, terms, m, behind[k] == ALL)
+        total, left = _arriving(mask, shape, row, beam, cones, terms, m, behind[k] == ALL)
         if total == 0.0 and behind[k] == BUMPS:
-            total, left = _arriving(mask, shape, cones, terms, m, True)
+            total, left = _arriving(mask, shape, row, beam, cones, terms, m, True)
         share[k] = left / total if total > 0.0 else 1.0

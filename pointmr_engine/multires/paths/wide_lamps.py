@@ -132,6 +132,8 @@ class WideLamps(SharingPaths):
         """Fill the share of lamp i that arrives at points 0..n; returns those that see it through something: 0."""
         lamps, share, masks, rows = self.light.lamps, self.share[i], self.masks, self.rows
         share[:n] = 1.0
+        if not lamps.cast_shadow[i]:
+            return rows[:0]
         m = lamp_cones(
             lamps, np.int64(i), self._starts(i, n), self.lobes.normal, self.behind_lit, self.width,
             self.frames.offset, self.lobes.count, np.int64(n), self.cones, rows, self.terms,
@@ -148,7 +150,9 @@ class WideLamps(SharingPaths):
                 a[:m] = a[met]
             self.light.blocked(self.cones, m, masks, solid=True)
             through = rows[:m][masks[:m] != everything].copy()
-        take_shares(masks, lamps.shape[i], self.cones, self.terms, self.behind_lit, rows, np.int64(m), share)
+        take_shares(
+            masks, lamps, np.int64(i), self.cones, self.terms, self.behind_lit, rows, np.int64(m), share
+        )
         share[through] = 0.0
         return through
 
