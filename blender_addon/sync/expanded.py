@@ -61,6 +61,9 @@ def place(sync, objects: list, rows) -> set[int]:
         seen, holdout = flags[top]
         seed = item.random_id & 0xFFFFFFFF if item.is_instance else 0
         world = matrix(item.matrix_world)
-        placed = own.moved(world)._replace(visibility=visibility.below(own.visibility, seen, holdout))
+        color = tuple((item.parent or ob).color) if item.is_instance else own.color
+        placed = own.moved(world)._replace(
+            visibility=visibility.below(own.visibility, seen, holdout), color=color
+        )
         rows.add(placed, seed or seeds.object_seed(ob.name))
     return set(wanted)

@@ -45,7 +45,7 @@ class InstanceSync:
 
     def root(self) -> Group:
         """Everything that the view layer shows, in world space."""
-        rows = Rows("Scene", self.lamps, self.watch)
+        rows = Rows("Scene", self.lamps, self.watch, instanced=False)
         objects = self.top_objects()
         done = self._expand(objects, rows)
         for i, ob in enumerate(objects):
@@ -70,9 +70,8 @@ class InstanceSync:
                     seed = 0
                 else:
                     seed = seeds.instance_seed(p.name, p.ids or (0,), ob.name)
-                rows.add(
-                    p.moved(world)._replace(visibility=visibility.below(p.visibility, seen, holdout)), seed
-                )
+                seen_below = visibility.below(p.visibility, seen, holdout)
+                rows.add(p.moved(world)._replace(visibility=seen_below, color=tuple(ob.color)), seed)
         return rows.group() or Group("Scene")
 
     def top_objects(self) -> list:

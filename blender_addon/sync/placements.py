@@ -86,10 +86,14 @@ class LampTree:
 
 
 class Rows:
-    """Placements on their way to become one Group."""
+    """Placements on their way to become one Group.
 
-    def __init__(self, name: str, lamp_tree: LampTree, watch):
+    instanced: its parts have the colour of what instances them at the top level, as Blender has it, not their own.
+    """
+
+    def __init__(self, name: str, lamp_tree: LampTree, watch, instanced: bool = True):
         self.name, self._tree, self._watch = name, lamp_tree, watch
+        self._instanced = instanced
         self._instances: list[Instances] = []
         self._lit: list[tuple[Group, np.ndarray, int]] = []
         self._single: list[Placed] = []
@@ -169,7 +173,7 @@ class Rows:
                 per_row([p.visibility for p in table], which, np.uint8),
                 per_row([p.object_index for p in table], which, np.int32),
                 seed.astype(np.uint32),
-                per_row([p.color for p in table], which, np.float32),
+                None if self._instanced else per_row([p.color for p in table], which, np.float32),
                 attributes,
                 name,
             )

@@ -156,7 +156,8 @@ class SetFiles:
             )
             self._feed(h, (mesh.material_index, mesh.active_uv, mesh.generated, len(mesh.materials)))
             for material in mesh.materials:
-                self._feed(h, (None,) if material is None else (material.graph, material.bump_method))
+                self._feed(h, (None,) if material is None else (material.surface_graph, material.bump_method))
+                self._feed(h, None if material is None else material.graph.displacement)
         for b in geometry.group_batches[g]:
             batch = geometry.batches[b]
             seen = None if batch.visibility is None else np.asarray(batch.visibility) & np.uint8(CAMERA)

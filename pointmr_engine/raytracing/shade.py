@@ -122,8 +122,8 @@ class Shader:
         shader.footprints = footprints
         return shader
 
-    def _gather(self, rays, hits, frames, rows, needs, state, material):
-        points = gather(self.geometry, rays, hits, frames, rows, needs, state, material)
+    def _gather(self, rays, hits, frames, rows, needs, state):
+        points = gather(self.geometry, rays, hits, frames, rows, needs, state)
         points.footprints = self.footprints
         return points
 
@@ -155,8 +155,8 @@ class Shader:
             seen_by = state
             if not program.opaque:
                 seen_by = unfiltered = unfiltered or _without_lobes(state, n)
-            points = self._gather(rays, hits, frames, rows, program.needs, seen_by, m)
-            means = self._means(program, rays, hits, frames, view, rows, seen_by, m, detail)
+            points = self._gather(rays, hits, frames, rows, program.needs, seen_by)
+            means = self._means(program, rays, hits, frames, view, rows, seen_by, detail)
             values = program.values(points)
             leaves = program.fill_leaves(values, means.values)
             if slopes is not None and means.slopes is not None:
@@ -166,7 +166,7 @@ class Shader:
             if means.variance is not None:
                 widen_lobes(out, means.rows, means.variance)
 
-    def _means(self, program: Program, rays, hits, frames, view, rows, state, material, detail) -> Means:
+    def _means(self, program: Program, rays, hits, frames, view, rows, state, detail) -> Means:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
         normals, and images where it is seen obliquely. detail: see lobes_at.
         """
@@ -181,7 +181,7 @@ class Shader:
             return NO_MEANS
 
         def points(needs: frozenset[str]):
-            return lambda index: self._gather(rays, hits, frames, index, needs, state, material)
+            return lambda index: self._gather(rays, hits, frames, index, needs, state)
 
         means, slopes, variance = [], None, None
         if program.fine_needs:
@@ -227,6 +227,6 @@ class Shader:
                 continue
             chosen = np.flatnonzero(material == m)
             needs = program.transparency_needs
-            points = self._gather(rays, hits, frames, rows[chosen], needs, state, int(m))
+            points = self._gather(rays, hits, frames, rows[chosen], needs, state)
             share[chosen] = program.transparency(points)
         return share

@@ -72,22 +72,18 @@ def gather(
     index: np.ndarray,
     needs: frozenset[str],
     ray_state: RayState | None = None,
-    material: int | None = None,
 ) -> SurfacePoints:
     """The surface points of hits[index], with the fields that `needs` names and no others.
 
     index (n,) integer, of hits (triangle >= 0); row k of the result belongs to hits[index[k]]. needs: field names of
     SurfacePoints ("position", "normal", "generated", "ray_length", ...), and "uv:NAME", "uv_footprint:NAME",
     "tangent:NAME" ("" is the mesh's active layer), "attribute:NAME", "instance_attribute:NAME". `ray_state` may be left
-    out when nothing of it is needed. `SurfacePoints.material_index` becomes geometry.materials[material].pass_index.
-    Raises KeyError for a need that is not known.
+    out when nothing of it is needed. Raises KeyError for a need that is not known.
     """
     samples = samples_of(hits, index)
     chosen = Frames(*(column[index] for column in frames))
     direction = rays.direction[index]
     points = SurfacePoints(count=len(samples.part))
-    if material is not None and geometry.materials[material] is not None:
-        points.material_index = geometry.materials[material].pass_index
     width = None
     if ray_state is not None:
         width = ray_state.width[index] + ray_state.spread[index] * hits.t[index].astype(np.float32)

@@ -11,9 +11,9 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 class Material:
     """A surface material. Identity is the object: share it between meshes.
 
-    pass_index feeds the Material Index pass. emission_sampling: "AUTO", "NONE", "FRONT", "BACK", "FRONT_BACK",
-    which sides of an emissive surface are sampled as a light. bump_method: what the graph's displacement does: "BUMP"
-    changes normals, "DISPLACEMENT" moves vertices, "BOTH" both; "NONE": bumps are not corrected either.
+    pass_index feeds the Material Index pass, and Object Info nodes. emission_sampling: "AUTO", "NONE", "FRONT", "BACK",
+    "FRONT_BACK", which sides of an emissive surface are sampled as a light. bump_method: what the graph's displacement
+    does: "BUMP" changes normals, "DISPLACEMENT" moves vertices, "BOTH" both; "NONE": bumps are not corrected either.
     """
 
     name: str
@@ -34,8 +34,17 @@ class Material:
 
     @property
     def surface_graph(self) -> Graph:
-        """The graph that shades: its displacement is no bump where vertices have been moved by it."""
-        return replace(self.graph, displacement=None) if self.shades_moved else self.graph
+        """The graph that shades: its displacement is no bump where vertices have been moved by it.
+
+        Its Object Info nodes know the material's index.
+        """
+        nodes = dict(self.graph.nodes)
+        for key, node in nodes.items():
+            if node.kind == "object_info":
+                nodes[key] = replace(node, params=node.params | {"material_index": self.pass_index})
+        return replace(
+            self.graph, nodes=nodes, displacement=None if self.shades_moved else self.graph.displacement
+        )
 
 
 def principled(name: str = "Material", **inputs) -> Material:

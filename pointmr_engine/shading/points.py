@@ -40,7 +40,6 @@ class SurfacePoints:
     object_color: np.ndarray | None = None  # (N, 4) float32
     object_index: np.ndarray | None = None  # (N,) int32
     object_random: np.ndarray | None = None  # (N,) float32
-    material_index: int = 0
     # moved(offset (N, 3) float32, world, needs): the points there, in the plane of each one's triangle, with the fields
     # that `needs` names (None: the same) filled; bump mapping differences its height through it (needs: "moved").
     # (K N, 3): all points once by the first N, again by the next, and so on. A third argument: `narrowed` by it
@@ -54,7 +53,7 @@ class SurfacePoints:
     glossy_depth: np.ndarray | None = None
     transmission_depth: np.ndarray | None = None
     transparent_depth: np.ndarray | None = None
-    camera_from_world: np.ndarray | None = None  # (3, 4) float64
+    camera_from_world: np.ndarray | None = None  # (3, 4) float64, z growing away from the camera
     window: np.ndarray | None = None  # (N, 2) float32, position in the image, 0..1
 
     def repeated(self, times: int, needs: frozenset[str] | None = None) -> SurfacePoints:

@@ -248,6 +248,8 @@ class Program:
         memo = dict(values)
         for rows, others in means:
             for name, value in others.items():
+                if len(memo[name]) <= rows.max(initial=0):
+                    continue  # one value, which is its own mean
                 memo[name] = memo[name].copy()
                 memo[name][rows] = normalize(value) if name in self._normal_names else value
         return [_fill(leaf, memo) for leaf in self.leaves]

@@ -222,7 +222,6 @@ def _points(obj, m: np.ndarray, n: np.ndarray, position: np.ndarray) -> SurfaceP
         object_color=rows(tuple(obj.color)),
         object_index=np.full(count, obj.pass_index, np.int32),
         object_random=np.zeros(count, np.float32),
-        material_index=2,
         ray_kind=np.full(count, RAY_CAMERA, np.uint8),
         # rays start on the near clipping plane
         ray_length=(camera[2, 3] - bpy.context.scene.camera.data.clip_start - position[:, 2]).astype(
@@ -233,7 +232,7 @@ def _points(obj, m: np.ndarray, n: np.ndarray, position: np.ndarray) -> SurfaceP
         glossy_depth=np.zeros(count, np.int32),
         transmission_depth=np.zeros(count, np.int32),
         transparent_depth=np.zeros(count, np.int32),
-        camera_from_world=np.linalg.inv(camera)[:3],
+        camera_from_world=np.diag([1.0, 1.0, -1.0]) @ np.linalg.inv(camera)[:3],
         window=screen.astype(np.float32),
     )
     return replace(

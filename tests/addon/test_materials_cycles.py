@@ -26,7 +26,7 @@ def pictures(tmp_path_factory):
     bpy.context.evaluated_depsgraph_get().update()
     found = {}
     for i, (name, obj) in enumerate(objects.items()):
-        program = compile_graph(sync.get(obj.data.materials[0]).graph)
+        program = compile_graph(sync.get(obj.data.materials[0]).surface_graph)
         ours = program.emission(node_planes.points_of(obj)).reshape(node_planes.WINDOW, node_planes.WINDOW, 3)
         found[name] = (node_planes.window(picture, i, len(objects)), ours)
     return found, reports

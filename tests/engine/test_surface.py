@@ -75,9 +75,6 @@ def test_materials_by_slot():
     geometry, rays, hits, frames = seen(Group("root", [mesh, bare]), origin, [0, 0, -1])
     found = [geometry.materials[i] if i >= 0 else "miss" for i in frames.material]
     assert found == [b, a, None, None, None, None, None, None, "miss"]
-    index = np.array([1])
-    points = surface.gather(geometry, rays, hits, frames, index, frozenset(), None, frames.material[1])
-    assert points.material_index == 3
 
 
 def quad(**values) -> Mesh:
@@ -99,7 +96,7 @@ def test_only_what_is_asked_for_is_filled():
     geometry, rays, hits, frames = seen(Group("root", [quad()]), [0.5, 0.25, 1], [0, 0, -1])
     state = surface.allocate_ray_state(1)
     index = np.arange(1)
-    everything = surface.gather(geometry, rays, hits, frames, index, frozenset(ALL), state, 0)
+    everything = surface.gather(geometry, rays, hits, frames, index, frozenset(ALL), state)
     blank = SurfacePoints(count=1)
     for need in ALL:
         points = surface.gather(geometry, rays, hits, frames, index, frozenset([need]), state)

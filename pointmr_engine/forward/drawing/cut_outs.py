@@ -24,7 +24,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.surface import points_at
 
-SAMPLES = 32_000_000  # at most, over all triangles that differ
+SAMPLES = 8_000_000  # at most, over all triangles that differ
 FINEST = 128  # samples along a triangle's edge at most
 NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose holes have a colour of their own
 FIRST = 24  # so many tell which triangles are the same all over: these share one row

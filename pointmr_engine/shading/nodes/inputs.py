@@ -6,7 +6,6 @@ import numpy as np
 
 from pointmr_engine.shading import points as P
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, From, node
-from pointmr_engine.shading.nodes.vector import camera_space
 from pointmr_engine.shading.values import (
     cross,
     dot,
@@ -163,7 +162,7 @@ _OBJECT_INFO = {
     "color": ("object_color",),
     "alpha": ("object_color",),
     "object_index": ("object_index",),
-    "material_index": ("material_index",),
+    "material_index": (),
     "random": ("object_random",),
 }
 
@@ -182,6 +181,7 @@ _OBJECT_INFO = {
     reads=reader(_OBJECT_INFO),
 )
 def _object_info(c: Call) -> dict[str, np.ndarray]:
+    """params: material_index, of the material whose graph it is (scene.material.Material.surface_graph)."""
     p, out = c.points, {}
     for name in c.wanted:
         if name == "location":
@@ -193,7 +193,7 @@ def _object_info(c: Call) -> dict[str, np.ndarray]:
         elif name == "object_index":
             out[name] = _float(p.object_index)
         elif name == "material_index":
-            out[name] = np.full(1, p.material_index, np.float32)
+            out[name] = np.full(1, c.params.get("material_index", 0), np.float32)
         else:
             out[name] = p.object_random
     return out
@@ -237,7 +237,7 @@ def _color_attribute(c: Call) -> dict[str, np.ndarray]:
     reads=lambda params, wanted: ("position", "camera_from_world"),
 )
 def _camera_data(c: Call) -> dict[str, np.ndarray]:
-    v = transform_point(camera_space(c.points.camera_from_world), c.points.position).astype(np.float32)
+    v = transform_point(c.points.camera_from_world, c.points.position).astype(np.float32)
     return {"view_vector": normalize(v), "view_z_depth": v[:, 2], "view_distance": length(v)}
 
 

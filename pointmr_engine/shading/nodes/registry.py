@@ -142,7 +142,6 @@ VARIES: dict[str, frozenset[str]] = {
     "object_color": frozenset({"instance"}),
     "object_index": frozenset({"instance"}),
     "object_random": frozenset({"instance"}),
-    "material_index": frozenset(),
     "camera_from_world": frozenset({"view"}),
     "window": frozenset({"view"}),
     "ray_kind": frozenset({"ray"}),

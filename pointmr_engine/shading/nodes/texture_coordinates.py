@@ -6,7 +6,6 @@ import numpy as np
 
 from pointmr_engine.shading.nodes.inputs import normal_to_object, uv_vector
 from pointmr_engine.shading.nodes.registry import FLOAT, VECTOR, Call, From, node
-from pointmr_engine.shading.nodes.vector import camera_space
 from pointmr_engine.shading.values import dot, length, transform_point
 
 
@@ -58,7 +57,7 @@ def _texture_coordinate(c: Call) -> dict[str, np.ndarray]:
             m = c.params.get("object_from_world")
             out[name] = p.local if m is None else transform_point(np.asarray(m, np.float64), p.position)
         elif name == "camera":
-            out[name] = transform_point(camera_space(p.camera_from_world), p.position)
+            out[name] = transform_point(p.camera_from_world, p.position)
         elif name == "window":
             out[name] = uv_vector(p.window)
         else:

@@ -161,17 +161,12 @@ def _vector_transform(c: Call) -> np.ndarray:
     if source == "OBJECT" and p.world_from_part is not None:
         v = _apply(kind, p.world_from_part, v)
     elif source == "CAMERA":
-        v = _apply(kind, _inverse(camera_space(p.camera_from_world)), v)
+        v = _apply(kind, _inverse(p.camera_from_world), v)
     if target == "OBJECT" and p.world_from_part is not None:
         v = _apply(kind, _inverse(p.world_from_part), v)
     elif target == "CAMERA":
-        v = _apply(kind, camera_space(p.camera_from_world), v)
+        v = _apply(kind, p.camera_from_world, v)
     return v.astype(np.float32)
-
-
-def camera_space(camera_from_world: np.ndarray) -> np.ndarray:
-    """The same with z growing away from the camera, as shading nodes have it."""
-    return camera_from_world * np.array([1.0, 1.0, -1.0])[:, None]
 
 
 def _apply(kind: str, m: np.ndarray, v: np.ndarray) -> np.ndarray:
