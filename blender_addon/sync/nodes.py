@@ -148,6 +148,11 @@ class Translator:
             return plain(output.default_value)
         if name == "Attribute" and node.attribute_type == "VIEW_LAYER":
             return self._view_layer_attribute(node, output)
+        if name == "LightFalloff" and output.identifier == "Quadratic":
+            if self.value(node.inputs["Smooth"], scope) == 0.0:
+                return self.value(
+                    node.inputs["Strength"], scope
+                )  # light falls off as it does without the node
         rule = rule_of(node)
         if rule is None:
             self.warn(node, "is not supported; its default is used")

@@ -173,6 +173,19 @@ def test_light_graphs_only_where_they_matter(sync):
     assert found == pytest.approx(2 * lengths * lengths**2 / (4 + lengths**2))
 
 
+def test_quadratic_falloff_is_a_strength(sync):
+    """It is the inverse-square law, as lamps have it: a constant, but where it is smoothed."""
+    light = bpy.data.lights.new("lamp", "POINT")
+    light.use_nodes = True
+    _, nodes, links = nodes_of(light)
+    falloff = nodes.new("ShaderNodeLightFalloff")
+    falloff.inputs["Strength"].default_value = 2.5
+    links.new(falloff.outputs["Quadratic"], nodes["Emission"].inputs["Strength"])
+    assert compile_graph(sync.light_graph(light), "light").constant_emission == pytest.approx((2.5,) * 3)
+    falloff.inputs["Smooth"].default_value = 1.0
+    assert compile_graph(sync.light_graph(light), "light").constant_emission is None
+
+
 def test_conductors_by_index_become_tints(sync):
     m = material()
     _, nodes, links = nodes_of(m)
