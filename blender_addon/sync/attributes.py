@@ -8,6 +8,8 @@ import numpy as np
 
 from pointmr_engine.scene.mesh import Attribute
 
+from .islands import ISLAND
+
 # data type -> (channels, property of an element, dtype in foreach_get)
 LAYOUTS = {
     "FLOAT": (1, "value", np.float32),
@@ -56,6 +58,8 @@ def requests(node_tree) -> Requests:
                 by_type.get(node.attribute_type, set()).add(node.attribute_name)
                 if node.attribute_type == "INSTANCER":
                     objects.add(node.attribute_name)  # an instancer without it is asked for its property
+            elif kind == "ShaderNodeNewGeometry" and node.outputs["Random Per Island"].is_linked:
+                geometry.add(ISLAND)
             elif kind == "ShaderNodeVertexColor":
                 geometry.add(node.layer_name)
             elif kind in ("ShaderNodeUVMap", "ShaderNodeNormalMap", "ShaderNodeTangent"):

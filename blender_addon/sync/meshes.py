@@ -10,6 +10,7 @@ from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 
 from . import attributes
 from .attributes import Requests
+from .islands import ISLAND, random_per_island
 
 
 class SlotMaterials:
@@ -218,6 +219,9 @@ def add_requested(mesh, bare: Mesh, wanted: Requests, arrays: dict, owner: str, 
         if name and name in mesh.uv_layers:
             if name not in bare.uvs:
                 add_uv(bare, mesh.uv_layers[name], arrays["loops"])
+        elif name == ISLAND:
+            if name not in bare.attributes:
+                bare.attributes[name] = random_per_island(mesh, bare.triangles)
         elif name not in bare.attributes:
             if name:
                 source = mesh.attributes.get(name)

@@ -20,20 +20,32 @@ def hash_string(text: str) -> int:
     return h
 
 
-def hash_pair(x, y) -> np.ndarray:
-    """Jenkins' lookup3 final mix of two uint32 (arrays or scalars) into a uint32 array."""
-    x, y = np.broadcast_arrays(np.asarray(x, np.uint32), np.asarray(y, np.uint32))
-    start = np.uint32(0xDEADBEEF + (2 << 2) + 13)
+def _final_mix(a, b, c) -> np.ndarray:
+    """Jenkins' lookup3 final mix of uint32 arrays."""
     with np.errstate(over="ignore"):
-        a, b, c = x + start, y + start, np.full(x.shape, start, np.uint32)
         c = (c ^ b) - _rotate(b, 14)
         a = (a ^ c) - _rotate(c, 11)
         b = (b ^ a) - _rotate(a, 25)
         c = (c ^ b) - _rotate(b, 16)
         a = (a ^ c) - _rotate(c, 4)
         b = (b ^ a) - _rotate(a, 14)
-        c = (c ^ b) - _rotate(b, 24)
-    return c
+        return (c ^ b) - _rotate(b, 24)
+
+
+def hash_one(x) -> np.ndarray:
+    """Lookup3 of one uint32 each (array) into a uint32 array."""
+    x = np.asarray(x, np.uint32)
+    start = np.full(x.shape, 0xDEADBEEF + (1 << 2) + 13, np.uint32)
+    with np.errstate(over="ignore"):
+        return _final_mix(x + start, start, start)
+
+
+def hash_pair(x, y) -> np.ndarray:
+    """Lookup3 of two uint32 (arrays or scalars) into a uint32 array."""
+    x, y = np.broadcast_arrays(np.asarray(x, np.uint32), np.asarray(y, np.uint32))
+    start = np.full(x.shape, 0xDEADBEEF + (2 << 2) + 13, np.uint32)
+    with np.errstate(over="ignore"):
+        return _final_mix(x + start, y + start, start)
 
 
 def pair(x: int, y: int) -> int:

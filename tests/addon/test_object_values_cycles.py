@@ -103,3 +103,34 @@ def test_values_are_those_of_cycles(tmp_path, name):
         for k in range(4):  # the middle of each plane
             at = np.s_[9:15, 24 * k + 9 : 24 * k + 15]
             assert found[at].mean((0, 1)) == pytest.approx(theirs[at].mean((0, 1)), abs=0.01), (method, k)
+
+
+def test_islands_have_the_numbers_of_cycles(tmp_path):
+    """Four squares of one mesh; one of several faces, another next to it that shares no edge."""
+    build(lambda t: t.node("NewGeometry").outputs["Random Per Island"])
+    scene = bpy.context.scene
+    material = bpy.data.materials["shown"]
+    for ob in list(bpy.data.objects):
+        if ob.type != "CAMERA":
+            bpy.data.objects.remove(ob)
+    points, faces = [], []
+    for k, cells in enumerate((1, 3, 1, 2)):
+        first, x = len(points), np.linspace(-2.0 + k, -1.0 + k, cells + 1)
+        points += [(a, y, 0.0) for a in x for y in (-0.5, 0.5)]
+        faces += [
+            (first + 2 * c, first + 2 * c + 2, first + 2 * c + 3, first + 2 * c + 1) for c in range(cells)
+        ]
+    mesh = bpy.data.meshes.new("squares")
+    mesh.from_pydata(points, [], faces[::-1])
+    mesh.materials.append(material)
+    scene.collection.objects.link(bpy.data.objects.new("squares", mesh))
+    methods.configure(scene, methods.Method("cycles", 16), 0, SIZE, {}, 2)
+    theirs = node_planes.written(tmp_path / "cycles.exr").astype(float)
+    methods.configure(scene, methods.Method("distributed", 16), 0, SIZE, {}, 2)
+    ours, settings, _ = exported()
+    found = render(ours, replace(settings, passes=("combined",))).passes["combined"][..., :3].astype(float)
+    numbers = [found[9:15, 24 * k + 9 : 24 * k + 15].mean() for k in range(4)]
+    assert numbers == pytest.approx(
+        [theirs[9:15, 24 * k + 9 : 24 * k + 15].mean() for k in range(4)], abs=1e-4
+    )
+    assert len(np.unique(np.round(numbers, 4))) == 4

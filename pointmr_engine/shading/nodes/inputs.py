@@ -128,7 +128,6 @@ _GEOMETRY = {
         "parametric": VECTOR,
         "backfacing": FLOAT,
         "pointiness": FLOAT,
-        "random_per_island": FLOAT,
     },
     reads=reader(_GEOMETRY),
     ignores=lambda params, wanted: () if "normal" in wanted else ("shading_normal",),
@@ -153,7 +152,7 @@ def _geometry(c: Call) -> dict[str, np.ndarray]:
         elif name == "backfacing":
             out[name] = _float(p.backfacing)
         else:
-            out[name] = np.full(1, 0.5 if name == "pointiness" else 0.0, np.float32)
+            out[name] = np.full(1, 0.5, np.float32)  # pointiness
     return out
 
 
