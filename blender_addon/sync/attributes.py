@@ -8,7 +8,7 @@ import numpy as np
 
 from pointmr_engine.scene.mesh import Attribute
 
-from .islands import ISLAND
+from .derived import DERIVED
 
 # data type -> (channels, property of an element, dtype in foreach_get)
 LAYOUTS = {
@@ -58,8 +58,8 @@ def requests(node_tree) -> Requests:
                 by_type.get(node.attribute_type, set()).add(node.attribute_name)
                 if node.attribute_type == "INSTANCER":
                     objects.add(node.attribute_name)  # an instancer without it is asked for its property
-            elif kind == "ShaderNodeNewGeometry" and node.outputs["Random Per Island"].is_linked:
-                geometry.add(ISLAND)
+            elif kind == "ShaderNodeNewGeometry":
+                geometry.update(name for output, name in DERIVED.items() if node.outputs[output].is_linked)
             elif kind == "ShaderNodeVertexColor":
                 geometry.add(node.layer_name)
             elif kind in ("ShaderNodeUVMap", "ShaderNodeNormalMap", "ShaderNodeTangent"):

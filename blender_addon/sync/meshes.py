@@ -10,7 +10,7 @@ from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 
 from . import attributes
 from .attributes import Requests
-from .islands import ISLAND, random_per_island
+from .derived import DERIVED, derived
 
 
 class SlotMaterials:
@@ -219,9 +219,9 @@ def add_requested(mesh, bare: Mesh, wanted: Requests, arrays: dict, owner: str, 
         if name and name in mesh.uv_layers:
             if name not in bare.uvs:
                 add_uv(bare, mesh.uv_layers[name], arrays["loops"])
-        elif name == ISLAND:
+        elif name in DERIVED.values():
             if name not in bare.attributes:
-                bare.attributes[name] = random_per_island(mesh, bare.triangles)
+                bare.attributes[name] = derived(name, mesh, bare.triangles, bare.positions)
         elif name not in bare.attributes:
             if name:
                 source = mesh.attributes.get(name)

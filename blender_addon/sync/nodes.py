@@ -10,7 +10,7 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.shading.nodes import NODES
 from pointmr_engine.shading.nodes.registry import From
 
-from .islands import ISLAND
+from .derived import DERIVED
 from .node_table import Rule, params_of, rule_of
 
 _WRAPPERS = {"VALUE": "value", "INT": "value", "BOOLEAN": "value", "RGBA": "rgb", "VECTOR": "identity_vector"}
@@ -149,9 +149,10 @@ class Translator:
             return plain(output.default_value)
         if name == "Attribute" and node.attribute_type == "VIEW_LAYER":
             return self._view_layer_attribute(node, output)
-        if name == "NewGeometry" and output.identifier == "Random Per Island":
-            self.graph.nodes[ISLAND] = Node("attribute", params={"name": ISLAND, "type": "GEOMETRY"})
-            return Link(ISLAND, "fac")
+        if name == "NewGeometry" and output.identifier in DERIVED:
+            read = DERIVED[output.identifier]
+            self.graph.nodes[read] = Node("attribute", params={"name": read, "type": "GEOMETRY"})
+            return Link(read, "fac")
         if name == "LightFalloff" and output.identifier == "Quadratic":
             if self.value(node.inputs["Smooth"], scope) == 0.0:
                 return self.value(

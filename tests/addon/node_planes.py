@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix
 
+from blender_addon.sync.derived import DERIVED, derived
 from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
 
 PIXELS = 32  # per unit of the grid
@@ -170,6 +171,13 @@ def points_of(obj) -> SurfacePoints:
     return _points(obj, m, n, np.stack([x, y, z], -1).reshape(-1, 3))
 
 
+def _of_mesh(name: str, mesh) -> tuple[float, ...]:
+    """What is derived from a plane, of which all is alike, as the channels of an attribute."""
+    positions = np.array([v.co for v in mesh.vertices], np.float32)
+    value = float(derived(name, mesh, np.array([[0, 1, 2]], np.int32), positions).values[0, 0])
+    return value, value, value, 1.0
+
+
 def _points(obj, m: np.ndarray, n: np.ndarray, position: np.ndarray) -> SurfacePoints:
     count = len(position)
     local = (position - m[:3, 3]) @ np.linalg.inv(m[:3, :3]).T
@@ -214,6 +222,7 @@ def _points(obj, m: np.ndarray, n: np.ndarray, position: np.ndarray) -> SurfaceP
             "Col": colors.astype(np.float32),
             "": colors.astype(np.float32),
             "height": np.stack([height] * 3 + [np.ones_like(height)], 1).astype(np.float32),
+            **{name: rows(_of_mesh(name, obj.data)) for name in DERIVED.values()},
         },
         instance_attributes={"tint": rows((0.625, 0.625, 0.625, 1.0))},
         footprint=np.full(count, 1 / PIXELS, np.float32),

@@ -19,7 +19,7 @@ ELSEWHERE = {
     "add_shader": {"Shader", "Shader_001"},
     "mix_shader": {"Shader", "Shader_001"},
     "metallic": {"IOR", "Extinction"},
-    "geometry": {"Random Per Island"},
+    "geometry": {"Random Per Island", "Pointiness"},
     "ambient_occlusion": {"Distance", "Normal"},
     "identity_vector": {"Radius"},
     "hair": set(_HAIR.split(", ")),

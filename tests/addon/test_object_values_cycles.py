@@ -134,3 +134,21 @@ def test_islands_have_the_numbers_of_cycles(tmp_path):
         [theirs[9:15, 24 * k + 9 : 24 * k + 15].mean() for k in range(4)], abs=1e-4
     )
     assert len(np.unique(np.round(numbers, 4))) == 4
+
+
+def test_pointiness_is_that_of_cycles(tmp_path):
+    build(lambda t: t.node("NewGeometry").outputs["Pointiness"])
+    scene, material = bpy.context.scene, bpy.data.materials["shown"]
+    for ob in list(bpy.data.objects):
+        if ob.type != "CAMERA":
+            bpy.data.objects.remove(ob)
+    stage.monkey(material, (0, 0, 0), 1.5, 0.0).rotation_euler.x = -1.2
+    scene.camera.data.ortho_scale = 2.5
+    methods.configure(scene, methods.Method("cycles", 16), 0, (64, 48), {}, 2)
+    theirs = node_planes.written(tmp_path / "cycles.exr").astype(float)[..., 0]
+    methods.configure(scene, methods.Method("distributed", 16), 0, (64, 48), {}, 2)
+    ours, settings, _ = exported()
+    found = render(ours, replace(settings, passes=("combined",))).passes["combined"][..., 0].astype(float)
+    inside = theirs > 0.5  # of the outline, pixels see less
+    assert inside.mean() > 0.1 and np.ptp(theirs[inside]) > 0.01
+    assert np.median(np.abs(found - theirs)[inside]) < 2e-4

@@ -127,7 +127,6 @@ _GEOMETRY = {
         "incoming": VECTOR,
         "parametric": VECTOR,
         "backfacing": FLOAT,
-        "pointiness": FLOAT,
     },
     reads=reader(_GEOMETRY),
     ignores=lambda params, wanted: () if "normal" in wanted else ("shading_normal",),
@@ -149,10 +148,8 @@ def _geometry(c: Call) -> dict[str, np.ndarray]:
         elif name == "parametric":
             u, v = p.barycentric[:, 0], p.barycentric[:, 1]
             out[name] = stack(1 - u - v, u, np.zeros_like(u))
-        elif name == "backfacing":
-            out[name] = _float(p.backfacing)
         else:
-            out[name] = np.full(1, 0.5, np.float32)  # pointiness
+            out[name] = _float(p.backfacing)
     return out
 
 

@@ -23,7 +23,8 @@ def _object(t: Tree):
     return offset(t, t.node("TexCoord", object=empty).outputs["Object"], 0.05)
 
 
-for _output in ("Position", "Normal", "Tangent", "True Normal", "Incoming", "Parametric", "Backfacing"):
+GEOMETRY = ("Position", "Normal", "Tangent", "True Normal", "Incoming", "Parametric", "Backfacing")
+for _output in (*GEOMETRY, "Pointiness", "Random Per Island"):
     CASES[f"geometry {_output}"] = (
         lambda t, output=_output: offset(t, t.node("NewGeometry").outputs[output], 0.05),
         1e-4,
