@@ -230,7 +230,7 @@ def _compile(
     if environment is None:
         from pointmr_engine.raytracing.environment import Environment
 
-        clock.phase("gathering lights")
+        clock.phase("reading the world")
         environment = Environment(scene.world)
     clock.phase("building hierarchies")
     if splatted and sampler is None:
