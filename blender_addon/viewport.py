@@ -26,6 +26,7 @@ PREPARATIONS = (
     "checking the scene",
     "loading kernels",
     "compiling materials",
+    "reading the world",
     "building hierarchies",
     "gathering lights",
 )
