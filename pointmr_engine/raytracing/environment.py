@@ -12,6 +12,7 @@ import numpy as np
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.warps import cosine_hemisphere, uniform_cone
 from pointmr_engine.raytracing.world_sun import WorldSun, bright_disc, measure
+from pointmr_engine.raytracing.world_texels import directions, row_borders, solid_angles
 from pointmr_engine.scene.graph import Link
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.world import World
@@ -80,7 +81,7 @@ class Environment:
         if self.map.mode != MAP or self.hidden is not None:
             return None
         kinds = [kind for kind in (DIFFUSE, GLOSSY, TRANSMISSION) if self.visibility & kind]
-        disc = self._disc or bright_disc(self._weight, _solid_angle(*self._weight.shape))
+        disc = self._disc or bright_disc(self._weight, solid_angles(*self._weight.shape))
         if disc is None or not kinds:
             return None
         sun, *others = (measure(*disc, partial(self.radiance, visibility=kind)) for kind in (0, *kinds))
@@ -94,11 +95,11 @@ class Environment:
         other = copy.copy(self)
         other.hidden = sun = self.sun
         other.__dict__.pop("sun")
-        other._weight, height = self._weight.copy(), len(self._weight)
-        width = self._weight.shape[1]
-        for row, d in enumerate(_rows(height, width)):
-            inside = sun.within(d, 2.0 * math.pi / width)
-            other._weight[row, inside] = np.abs(sun.rim).mean()
+        other._weight = self._weight.copy()
+        height, width = self._weight.shape
+        for row in range(height):
+            d = directions(np.full(width, row), np.arange(width), height, width)
+            other._weight[row, sun.within(d, 2.0 * math.pi / width)] = np.abs(sun.rim).mean()
         other.map = _build_map(other._weight, np.zeros(5), 0.0)
         return other
 
@@ -153,34 +154,16 @@ def _find_sun(world: World) -> tuple[np.ndarray, float] | None:
     return sun_direction(params), 0.5 * max(float(params.get("sun_size", 0.009512)), 0.0005)
 
 
-def _solid_angle(height: int, width: int) -> np.ndarray:
-    """(height,) solid angles of the texels of each row."""
-    return np.diff(_edges(height)) * (2.0 * math.pi / width)
-
-
-def _edges(height: int) -> np.ndarray:
-    """(height + 1,) heights z of the borders of rows of equal angle, as images have them."""
-    return -np.cos(np.linspace(0.0, math.pi, height + 1))
-
-
-def _rows(height: int, width: int):
-    """(width, 3) unit directions of the texels of each row."""
-    azimuth = (np.arange(width) + 0.5) * (2.0 * math.pi / width) - math.pi
-    for angle in (np.arange(height) + 0.5) * (math.pi / height):
-        flat = math.sin(angle)
-        yield np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.full(width, -math.cos(angle))], 1)
-
-
 def _texels(program: Program, width: int) -> np.ndarray:
     """(width / 2, width) float32: radiance by which the world is sampled, the channels' mean."""
     height = max(width // 2, 2)
-    weight = np.empty((height, width), np.float32)
-    rows, chunk = _rows(height, width), max(1, 65536 // width)
-    for first in range(0, height, chunk):
-        d = np.concatenate([next(rows) for _ in range(min(chunk, height - first))])
+    weight = np.empty(height * width, np.float32)
+    for first in range(0, len(weight), 65536):
+        texel = np.arange(first, min(first + 65536, len(weight)))
+        d = directions(*np.divmod(texel, width), height, width)
         radiance = np.abs(evaluate_background(program, d, 0)).mean(1)
-        weight[first : first + chunk] = np.nan_to_num(radiance, posinf=0.0).reshape(-1, width)
-    return weight
+        weight[texel] = np.nan_to_num(radiance, posinf=0.0)
+    return weight.reshape(height, width)
 
 
 def _sun_samples(program: Program, sun: tuple[np.ndarray, float] | None) -> tuple[np.ndarray, float]:
@@ -198,7 +181,7 @@ def _build_map(weight: np.ndarray, sun: np.ndarray, disc: float) -> WorldMap:
     A texel's density is uniform in solid angle. sun: WorldMap.sun; disc: radiance of the sun's disc.
     """
     height, width = weight.shape
-    edges, solid_angle = _edges(height), _solid_angle(height, width)
+    edges, solid_angle = row_borders(height), solid_angles(height, width)
     azimuth = (np.arange(width) + 0.5) * (2.0 * math.pi / width) - math.pi
     angle = (np.arange(height) + 0.5) * (math.pi / height)
     of_rows = np.diff(edges) / (2.0 * width)

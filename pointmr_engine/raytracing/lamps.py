@@ -177,9 +177,13 @@ def spot_attenuation(row, dx, dy, dz):
     y = -(row[LOCAL + 3] * dx + row[LOCAL + 4] * dy + row[LOCAL + 5] * dz)
     z = row[LOCAL + 6] * dx + row[LOCAL + 7] * dy + row[LOCAL + 8] * dz
     length = math.sqrt(x * x + y * y + z * z)
-    if length == 0.0:
-        return 0.0
-    t = min(1.0, max(0.0, (z / length - row[COS_HALF]) * row[SMOOTH]))
+    return spot_at(row, z / length) if length > 0.0 else 0.0
+
+
+@uncounted
+def spot_at(row, cosine):
+    """Share of a spot's intensity at an angle to its axis, by the cosine, where it is not scaled."""
+    t = min(1.0, max(0.0, (cosine - row[COS_HALF]) * row[SMOOTH]))
     return t * t * (3.0 - 2.0 * t)
 
 
@@ -281,7 +285,7 @@ def _area_region(row, shape, x, y, h):
 
 
 @uncounted
-def _spread_scale(row, cosine):
+def spread_at(row, cosine):
     """Share of the radiance that an area light sends at an angle to its axis, by the cosine."""
     tangent = row[TAN_SPREAD]
     if tangent == _INF:
@@ -334,7 +338,7 @@ def _sample_area(row, shape, px, py, pz, u1, u2):
         du, dv = concentric_disk(u1, u2)
         du, dv = cu - x + a * du, cv - y + b * dv
     t = math.sqrt(du * du + dv * dv + h * h)
-    scale = _spread_scale(row, h / t)
+    scale = spread_at(row, h / t)
     if region != shape or row[TAN_SPREAD] != _INF:
         # a hair's breadth outside is still the light: rounding at its very edge
         if not _inside_area(row, shape, (x + du) * (1.0 - 1e-9), (y + dv) * (1.0 - 1e-9)):
@@ -427,7 +431,7 @@ def lamp_pdf_scale(lamps, i, px, py, pz, nx, ny, nz, transmissive, dx, dy, dz, t
         return 1.0 / (2.0 * math.pi * cone), scale
     if shape == RECTANGLE or shape == ELLIPSE:
         x, y, h = area_point(row, px, py, pz)
-        scale = _spread_scale(row, h / t)
+        scale = spread_at(row, h / t)
         region, cu, cv, a, b = _area_region(row, shape, x, y, h)
         if a == 0.0 or scale == 0.0:
             return 0.0, scale

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.numerics.warps import orthonormal_basis
+from pointmr_engine.raytracing.world_texels import directions
 from pointmr_engine.scene.light import Light
 
 WIDEST = 0.05  # half angle (rad): of larger discs mirrors would show the shape
@@ -52,7 +53,7 @@ def bright_disc(weight: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray
     """
     height, width = weight.shape
     step = math.pi / height
-    brightest = _direction(*np.divmod(np.array([weight.argmax()]), width), height, width)[0]
+    brightest = directions(*np.divmod(np.array([weight.argmax()]), width), height, width)[0]
     d, light, _ = _near(weight, solid_angle, brightest, 2.0 * WIDEST)
     bright = light >= 0.5 * light.max()
     middle = (light[bright, None] * d[bright]).sum(0)
@@ -70,13 +71,6 @@ def bright_disc(weight: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray
     return None
 
 
-def _direction(row: np.ndarray, column: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(N, 3) unit directions of texels."""
-    angle, azimuth = (row + 0.5) * (math.pi / height), (column + 0.5) * (2.0 * math.pi / width) - math.pi
-    flat = np.sin(angle)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), -np.cos(angle)], 1)
-
-
 def _near(
     weight: np.ndarray, solid_angle: np.ndarray, middle: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -85,7 +79,7 @@ def _near(
     row, rows = math.acos(-middle[2]) / math.pi * height, math.ceil(reach / math.pi * height)
     first, end = max(int(row) - rows, 0), min(int(row) + rows + 1, height)
     r, c = (a.ravel() for a in np.meshgrid(np.arange(first, end), np.arange(width), indexing="ij"))
-    d = _direction(r, c, height, width)
+    d = directions(r, c, height, width)
     close = np.linalg.norm(d - middle, axis=1) <= reach
     return d[close], weight[first:end].ravel()[close].astype(np.float64), solid_angle[r[close]]
 

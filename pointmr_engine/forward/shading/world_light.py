@@ -14,6 +14,7 @@ import numpy as np
 
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.raytracing.environment import Environment
+from pointmr_engine.raytracing.world_texels import directions, solid_angles
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.light import Light
 
@@ -81,8 +82,7 @@ def _directions(width: int) -> np.ndarray:
 def _towards(texel: np.ndarray, width: int, u: float = 0.5, v: float = 0.5) -> np.ndarray:
     """(N, 3) unit directions of the place u, v in [0, 1) within each of the texels (N,) of a map."""
     row, column = np.divmod(texel, width)
-    angle, azimuth = (row + v) * (2.0 * math.pi / width), (column + u) * (2.0 * math.pi / width) - math.pi
-    return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), -np.cos(angle)], 1)
+    return directions(row + (v - 0.5), column + (u - 0.5), width // 2, width)
 
 
 def _radiance_map(environment: Environment, kind: int) -> np.ndarray:
@@ -171,9 +171,7 @@ def _behind_each_other(maps: list[np.ndarray], alpha: list[float]) -> WorldMaps:
 
 def _solid_angle(width: int) -> np.ndarray:
     """(rows, 1, 1) of a texel."""
-    return (np.diff(-np.cos(np.linspace(0.0, math.pi, width // 2 + 1))) * (2.0 * math.pi / width))[
-        :, None, None
-    ]
+    return solid_angles(width // 2, width)[:, None, None]
 
 
 def _halved(texels: np.ndarray) -> np.ndarray:

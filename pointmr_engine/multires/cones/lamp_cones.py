@@ -17,7 +17,6 @@ from pointmr_engine.raytracing.lamps import (
     AY,
     AZ,
     CONE,
-    COS_HALF,
     ELLIPSE,
     HALF_U,
     HALF_V,
@@ -26,7 +25,6 @@ from pointmr_engine.raytracing.lamps import (
     PZ,
     RADIUS,
     RECTANGLE,
-    SMOOTH,
     SPHERE,
     SPOT,
     SUN,
@@ -37,6 +35,8 @@ from pointmr_engine.raytracing.lamps import (
     VX,
     VY,
     VZ,
+    spot_at,
+    spread_at,
 )
 from pointmr_engine.raytracing.terminator import rise
 from pointmr_engine.scene.group import SHADOW
@@ -228,15 +228,6 @@ def lamp_cones(
 
 
 @device
-def _share_of_beam(row, cosine):
-    """What a beam lets out at an angle to its axis, by the cosine; in any unit, and a round one of a scaled spot."""
-    if row[SPOT] != 0.0:
-        t = min(max((cosine - row[COS_HALF]) * row[SMOOTH], 0.0), 1.0)
-        return t * t * (3.0 - 2.0 * t)
-    return max(row[TAN_SPREAD] - math.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, EDGE_ON), 0.0)
-
-
-@device
 def _irradiance(cones, terms, m, i, j, shape, row, beam, both):
     """Of the irradiance that cone m's lamp brings, what cell (i, j) does: its solid angle, the cosine at the point, and
     what a `beam` lets out that way.
@@ -260,7 +251,8 @@ def _irradiance(cones, terms, m, i, j, shape, row, beam, both):
     square = 1.0 + 2.0 * (u * terms[m, LEAN_X] + v * terms[m, LEAN_Y]) + u * u + v * v
     if beam:
         facing = terms[m, FACING] + u * terms[m, FACING_X] + v * terms[m, FACING_Y]
-        cosine *= _share_of_beam(row, facing / math.sqrt(square))
+        facing /= math.sqrt(square)
+        cosine *= spot_at(row, facing) if row[SPOT] != 0.0 else spread_at(row, facing)
     return cosine / (square * square)
 
 
