@@ -219,10 +219,10 @@ def add_requested(mesh, bare: Mesh, wanted: Requests, arrays: dict, owner: str, 
         if name and name in mesh.uv_layers:
             if name not in bare.uvs:
                 add_uv(bare, mesh.uv_layers[name], arrays["loops"])
-        elif name in DERIVED.values():
-            if name not in bare.attributes:
-                bare.attributes[name] = derived(name, mesh, bare.triangles, bare.positions)
         elif name not in bare.attributes:
+            if name in DERIVED.values():
+                bare.attributes[name] = derived(name, mesh, bare.triangles, bare.positions)
+                continue
             if name:
                 source = mesh.attributes.get(name)
             else:

@@ -153,11 +153,10 @@ class Translator:
             read = DERIVED[output.identifier]
             self.graph.nodes[read] = Node("attribute", params={"name": read, "type": "GEOMETRY"})
             return Link(read, "fac")
-        if name == "LightFalloff" and output.identifier == "Quadratic":
-            if self.value(node.inputs["Smooth"], scope) == 0.0:
-                return self.value(
-                    node.inputs["Strength"], scope
-                )  # light falls off as it does without the node
+        # without smoothing, light falls as it does without the node
+        quadratic = name == "LightFalloff" and output.identifier == "Quadratic"
+        if quadratic and self.value(node.inputs["Smooth"], scope) == 0.0:
+            return self.value(node.inputs["Strength"], scope)
         rule = rule_of(node)
         if rule is None:
             self.warn(node, "is not supported; its default is used")

@@ -22,9 +22,8 @@ from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
 WORLD_RAYS, EMITTER_RAYS, MANY_RAYS = 4, 2, 4  # of a point; of first surfaces to the world: see world_rays
 FEW = 2  # wide lamps take cones, and sharp ones a ray each, if there are no more of them
 SHARP = 0.02  # half angle (rad) up to which a sun takes rays
-SOFT = (
-    0.3  # tangent of the half angle up to which an area light's spread makes its shadows too narrow for cones
-)
+# tangent of the half angle up to which an area light's spread makes its shadows too narrow for cones
+SOFT = 0.3
 
 
 class ConeLight:

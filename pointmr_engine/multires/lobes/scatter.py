@@ -371,9 +371,8 @@ def _refract(
         return m
     if not refracts:
         return m
-    sharp = (
-        singular != 0 or bend * bend <= SINGULAR_ALPHA_SQUARED
-    )  # what hardly bends light hardly spreads it
+    # what hardly bends light hardly spreads it
+    sharp = singular != 0 or bend * bend <= SINGULAR_ALPHA_SQUARED
     pdf = BY_LOBE if sampled and not sharp else math.inf
     return _open_cones(
         paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
