@@ -45,7 +45,10 @@ def lamp(ob, material_sync, watch) -> Light | None:
     color = np.array(data.color[:3], np.float64)
     if getattr(data, "use_temperature", False):
         color *= np.array(data.temperature_color[:3])
-    color *= node_tint(data, ob.name, material_sync, watch)
+    graph = material_sync.light_graph(data)
+    tint = None if graph is None else constant_emission(graph)
+    if tint is not None:
+        color, graph = color * tint, None
     light = Light(
         KINDS[data.type],
         color=tuple(float(c) for c in color),
@@ -56,6 +59,7 @@ def lamp(ob, material_sync, watch) -> Light | None:
         cast_shadow=bool(getattr(data, "use_shadow", True)),
         use_mis=bool(getattr(own, "use_multiple_importance_sampling", True)),
         lights_catchers=bool(ob.is_shadow_catcher),
+        graph=graph,
         name=ob.name,
     )
     if data.type in {"POINT", "SPOT"}:
@@ -71,18 +75,6 @@ def lamp(ob, material_sync, watch) -> Light | None:
         light.size_x = float(data.size)
         light.size_y = float(data.size_y if data.shape in {"RECTANGLE", "ELLIPSE"} else data.size)
     return light
-
-
-def node_tint(data, owner: str, material_sync, watch) -> np.ndarray:
-    """RGB factor that the light's node tree gives to its emission; 1 for trees that do not come down to a constant."""
-    graph = material_sync.light_graph(data)
-    if graph is None:
-        return np.ones(3)
-    constant = constant_emission(graph)
-    if constant is None:
-        watch.warn(f"light '{owner}': its node tree is not constant; its colour and power are used instead")
-        return np.ones(3)
-    return constant
 
 
 def constant_emission(graph) -> np.ndarray | None:

@@ -31,6 +31,7 @@ from pointmr_engine.image.frame import Frame
 from pointmr_engine.raytracing.camera import CameraArrays
 from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.raytracing.lamps import compile_lamps
+from pointmr_engine.raytracing.lamps_in_view import LampsInView
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
@@ -132,8 +133,10 @@ class Image:
         z = depth_range(camera.camera_from_world, octree.lower[root], octree.upper[root])
         self.view = make_view(camera, self.subpixels, z)
         self.pixel = self.subpixels / (self.view.scale_x * self.view.scale_y) ** 0.5
-        self.scene_lights = [*scene.lights, *sampler.world_light.suns, *sampler.emissive_lamps]
+        all_lights = [*scene.lights, *sampler.world_light.suns, *sampler.emissive_lamps]
+        self.scene_lights = sorted(all_lights, key=lambda light: light.graph is not None)
         self.lamps = compile_lamps(self.scene_lights)[0]
+        self.in_view = LampsInView(scene.lights)
         self.shadows = options.shadows and bool(self.lamps.cast_shadow.any())
         self.shading = self.choose_shading()
         self.hardly = HARDLY if options.shading == "simple" else 0.0

@@ -25,6 +25,9 @@ TILE = 94  # pixels; with one more on each side for the filter, and four subpixe
 WIDE_TILE = 190  # where a pixel has two subpixels a side, or one: the buffers stay in the second-level cache
 
 
+LOOKS = 4  # of a pixel at lamps before the background, along each of its sides
+
+
 class Workspace:
     """One thread's buffers for tiles of an image (method.Image), drawn from static samples.
 
@@ -115,6 +118,7 @@ class Workspace:
             self.shadow = self.shadow_maps.share
         self.held = None
         self.image.shading.shade(self, hierarchy, count)
+        self._add_lamps_in_front(count)
         self.slopes = self._slopes(count)
         self._background(bounds)
         self._write(bounds, hierarchy, frame)
@@ -245,22 +249,61 @@ class Workspace:
         empty = self.empty[: n * rows, : n * columns]
         background = self.background[:rows, :columns]
         background[:] = 0
-        if image.settings.film_transparent or not empty.any():
+        if not empty.any():
             return
         uniform = image.sampler.environment.uniform(CAMERA)
-        if uniform is not None:
+        if image.settings.film_transparent:
+            uniform = np.zeros(3)
+        elif uniform is not None:
             background[:, :, :3], background[:, :, 3] = uniform, 1  # where all is covered, nothing reads it
+        if uniform is not None and image.in_view.empty:
             return
         empty = empty.reshape(rows, n, columns, n).any((1, 3))
         y, x = np.nonzero(empty)
-        view = image.view
-        d = np.ones((len(x), 3))
-        if view.perspective:
-            d[:, 0] = (self.left + (x + 0.5) * s - view.shift_x) / view.scale_x
-            d[:, 1] = (self.low + (y + 0.5) * s - view.shift_y) / view.scale_y
-            d /= np.linalg.norm(d, axis=1, keepdims=True)
-        else:
+        if uniform is None:
+            background[y, x, :3] = image.sampler.environment.radiance(self._rays(x, y)[1], CAMERA)
+            background[y, x, 3] = 1
+        if not image.in_view.empty:
+            self._add_lamps_behind(x, y, background)
+
+    def _rays(
+        self, x: np.ndarray, y: np.ndarray, u: float = 0.5, v: float = 0.5
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(origins, unit directions) (n, 3) in world space of the tile's pixels (x, y), through u, v of each."""
+        view, s, to_world = self.image.view, self.image.subpixels, self.image.camera.world_from_camera
+        place, d = np.zeros((len(x), 3)), np.ones((len(x), 3))
+        beside = d if view.perspective else place
+        beside[:, 0] = (self.left + (x + u) * s - view.shift_x) / view.scale_x
+        beside[:, 1] = (self.low + (y + v) * s - view.shift_y) / view.scale_y
+        if not view.perspective:
             d[:, :2] = 0
-        world = d @ image.camera.world_from_camera[:, :3].T
-        background[y, x, :3] = image.sampler.environment.radiance(world, CAMERA)
-        background[y, x, 3] = 1
+        place += view.near * d
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        return place @ to_world[:, :3].T + to_world[:, 3], d @ to_world[:, :3].T
+
+    def _add_lamps_behind(self, x: np.ndarray, y: np.ndarray, background: np.ndarray) -> None:
+        """Add the lamps that pixels (x, y) see where nothing lies before the background."""
+        lamps, image = self.image.in_view, self.image
+        near = lamps.near(*self._rays(x, y), image.pixel)
+        x, y = x[near], y[near]
+        seen, reach = np.zeros((len(x), 3), np.float32), np.full(len(x), np.inf)
+        for k in range(LOOKS * LOOKS if len(x) else 0):
+            u, v = (k % LOOKS + 0.5) / LOOKS, (k // LOOKS + 0.5) / LOOKS
+            lamps.add(*self._rays(x, y, u, v), reach, seen)
+        background[y, x, :3] += seen / np.float32(LOOKS * LOOKS)
+
+    def _add_lamps_in_front(self, count: int) -> None:
+        """Add the lamps that the camera sees before fragments 0..count to their light."""
+        image = self.image
+        if image.in_view.empty or not count:
+            return
+        to_world = image.camera.world_from_camera
+        place = self.fragments.position[:count].astype(np.float64)
+        start = place * (image.view.near / np.maximum(place[:, 2:], 1e-300))
+        if not image.view.perspective:
+            start = place * (1.0, 1.0, 0.0) + (0.0, 0.0, image.view.near)
+        way = place - start
+        reach = np.linalg.norm(way, axis=1)
+        direction = way @ to_world[:, :3].T / np.maximum(reach, 1e-300)[:, None]
+        start = start @ to_world[:, :3].T + to_world[:, 3]
+        image.in_view.add(start, direction, reach, self.light[:count])

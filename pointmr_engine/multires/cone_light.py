@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pointmr_engine.forward.shading.varying_lamps import SplitLamps
 from pointmr_engine.hierarchy.prefilter import prefilter
 from pointmr_engine.multires.cones.cone_walk import visible
 from pointmr_engine.multires.cones.cones import Cones
@@ -40,9 +41,13 @@ class ConeLight:
         self.lights = lights = stage.lights
         arrays = lights.arrays
         lamps = len(arrays.lamps.shape)
-        wide = [k for k in range(lamps) if _is_wide(arrays.lamps, k)]
+        wide = sorted(
+            (k for k in range(lamps) if _is_wide(arrays.lamps, k)), key=lambda k: arrays.lamps.varying[k]
+        )
         turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
-        if len(wide) <= FEW and len(turns) <= FEW:
+        # what differs from place to place of a lamp is seen by lobes, and by rays, each at its place
+        patterned = any(nodes.patterned for nodes in lights.nodes.values())
+        if len(wide) <= FEW and len(turns) <= FEW and not patterned:
             turns += [(WORLD, 0)] * (arrays.tree.leaf_of_world != -1)
             turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
             self.rays, self.many = lights.asked(turns), False
@@ -64,8 +69,9 @@ class ConeLight:
         self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and bool(arrays.lamps.mis.all())
         self.bends = self.extended and lamps > 0 and not self.many
         of = arrays.lamps.source
-        self.alone = [compile_lamps([lights.lamps[of[k]]])[0] for k in wide]
-        self.lamps = compile_lamps([lights.lamps[of[k]] for k in wide])[0]
+        taking_cones = [lights.lamps[of[k]] for k in wide]
+        self.lamps = compile_lamps(taking_cones)[0]
+        self.split = SplitLamps(taking_cones, self.lamps)
         self._sampler, self._lock = sampler, threading.Lock()
 
     @property

@@ -64,6 +64,9 @@ class TracedTiles(Workspace):
             np.int64(first), rows, hits, rays,
         )  # fmt: skip
 
+    def _add_lamps_in_front(self, count: int) -> None:
+        """Nothing: the fragments' paths meet them (integrator.seen_lamps)."""
+
     def lend(self, count: int) -> None:
         """Give the fragments behind the first `count` the light of those that stand for them."""
         lend_light(self.light, self.stands, np.int64(count), np.int64(self.all))

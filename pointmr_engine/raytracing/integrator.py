@@ -361,7 +361,7 @@ class Workspace:
     def _look_at_light(self, now, m: int, turn) -> None:
         stage = self.stage
         chosen = self.sample_lights(m, turn)
-        stage.lights.emission_at(chosen)
+        stage.lights.emission_at(chosen, self.lit_position)
         count = self.connect(now, m, chosen)
         if self.raises and count:
             self.raise_origins(count)

@@ -48,6 +48,8 @@ class Lamps(NamedTuple):
     cast_shadow: np.ndarray  # (L,) bool
     visibility: np.ndarray  # (L,) uint8, bits of scene.group
     source: np.ndarray  # (L,) int32: index into scene.lights
+    varying: np.ndarray  # (L,) bool: nodes decide about a factor of the radiance (lamp_nodes)
+    factor: np.ndarray  # (L,) float64: of the radiance, roughly what nodes make of it
 
 
 def is_beam(lamps: Lamps, k: int) -> bool:
@@ -61,7 +63,8 @@ def compile_lamps(lights: list[Light]) -> tuple[Lamps, list[str]]:
     for index, light in enumerate(lights):
         row = _compile_lamp(light, warnings)
         if row is not None:
-            rows.append((*row, light.cast_shadow, light.visibility & 255, index))
+            varying = light.graph is not None
+            rows.append((*row, light.cast_shadow, light.visibility & 255, index, varying, 1.0))
     n = len(rows)
     lamps = Lamps(
         np.zeros(n, np.uint8),
@@ -71,6 +74,8 @@ def compile_lamps(lights: list[Light]) -> tuple[Lamps, list[str]]:
         np.zeros(n, np.bool_),
         np.zeros(n, np.uint8),
         np.zeros(n, np.int32),
+        np.zeros(n, np.bool_),
+        np.ones(n),
     )
     for k, row in enumerate(rows):
         for column, value in zip(lamps, row, strict=True):

@@ -139,6 +139,7 @@ def sample_lamps(lamps, position, normal, transmissive, u, out):
         if _place(out, i, dx, dy, dz, t, pdf):
             for k in range(3):
                 out.radiance[i, k] = lamps.radiance[lamp, k] * scale
+            out.pending[i] = lamps.varying[lamp]
             out.mis[i] = lamps.mis[lamp]
             out.cast_shadow[i] = lamps.cast_shadow[lamp]
             out.visibility[i] = lamps.visibility[lamp]
@@ -189,7 +190,7 @@ def _weight(pdf, other):
 def add_seen_lamps(
     lamps, tree, met, suns, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out
 ):
-    """`Lights.seen_lamps`; met: the lamps that rays can meet, the first `suns` of them suns."""
+    """`Lights.seen_lamps`; met: the lamps that rays can meet, the first `suns` of them suns; none that varies."""
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
@@ -198,7 +199,7 @@ def add_seen_lamps(
         first = 0 if t_hit[i] == math.inf else suns
         for k in range(first, len(met)):
             lamp = met[k]
-            if not (lamps.visibility[lamp] & visibility[i]):
+            if not (lamps.visibility[lamp] & visibility[i]) or lamps.varying[lamp]:
                 continue
             if not lamps.mis[lamp] and (not camera or k < suns):
                 continue

@@ -107,7 +107,7 @@ def _lamp_values(lamps: Lamps, index: np.ndarray) -> np.ndarray:
     out[:, KIND], out[:, EDGE], out[:, STEEP] = LAMP, -2.0, 1.0
     for k, i in enumerate(index):
         row, shape = lamps.values[i], lamps.shape[i]
-        energy = float(np.abs(lamps.radiance[i]).mean())
+        energy = float(np.abs(lamps.radiance[i]).mean() * lamps.factor[i])
         out[k, CX : CZ + 1] = row[:3]
         out[k, AX : AZ + 1] = row[lamp_kinds.AX : lamp_kinds.AZ + 1]
         if shape in (lamp_kinds.RECTANGLE, lamp_kinds.ELLIPSE):
@@ -141,7 +141,7 @@ def _sun_values(lamps: Lamps, index: np.ndarray) -> np.ndarray:
     sine2 = cone * (2.0 - cone)
     out[:, AX : AZ + 1] = -lamps.values[index, lamp_kinds.AX : lamp_kinds.AZ + 1]
     out[:, COS_O], out[:, SIN_O] = 1.0 - cone, np.sqrt(sine2)
-    energy = np.abs(lamps.radiance[index]).mean(1)
+    energy = np.abs(lamps.radiance[index]).mean(1) * lamps.factor[index]
     out[:, ENERGY] = energy * np.where(lamps.shape[index] == lamp_kinds.SUN, math.pi * sine2, 1.0)
     return out
 

@@ -16,7 +16,8 @@ from pointmr_engine.hierarchy.placements import Placements
 from pointmr_engine.raytracing import light_sampling as kernels
 from pointmr_engine.raytracing.emitters import find_emitters, sampled_sides
 from pointmr_engine.raytracing.environment import ABOVE, UNIFORM, Environment
-from pointmr_engine.raytracing.lamps import DISTANT, POINT, compile_lamps
+from pointmr_engine.raytracing.lamp_nodes import LampNodes, lamp_nodes
+from pointmr_engine.raytracing.lamps import DISTANT, POINT, Lamps, compile_lamps
 from pointmr_engine.raytracing.light_sampling import (
     LAMP,
     NONE,
@@ -58,7 +59,7 @@ class Lights:
 
     warnings: what was left out, by name. empty: nothing is ever sampled. only_met: something shines that is not sampled
     (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it. lamps: what
-    `arrays.lamps.source` numbers. turns: what
+    `arrays.lamps.source` numbers; nodes: of those of `arrays.lamps` that vary. turns: what
     `sample` is asked for in turn at every point, so that together they find all lights: here None alone, see `apart`.
     """
 
@@ -71,11 +72,13 @@ class Lights:
         programs: list,
         materials: np.ndarray,
         lamps: list[Light],
+        nodes: dict[int, LampNodes],
         only_met: bool,
         warnings: list[str],
     ):
         self.arrays = arrays
         self.lamps = lamps
+        self.nodes = nodes
         self.environment = environment
         self.warnings = warnings
         self.only_met = only_met
@@ -137,7 +140,7 @@ class Lights:
 
     def _with(self, arrays: LightArrays, turns: list) -> Lights:
         parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
-        result = Lights(arrays, *parts, self.lamps, self.only_met, self.warnings)
+        result = Lights(arrays, *parts, self.lamps, self.nodes, self.only_met, self.warnings)
         result.turns, result.empty = turns, result.empty if arrays is self.arrays else not turns
         return result
 
@@ -171,11 +174,20 @@ class Lights:
         if a.tree.leaf_of_world != -1 and kind in (None, WORLD):
             kernels.sample_worlds(a.world, a.world_visibility, normal, transmissive, u, out)
 
-    def emission_at(self, samples: LightSamples, index: np.ndarray | None = None) -> None:
-        """Fill in `radiance` of the samples (of the rows `index`, or all) whose emission varies; clears `pending`."""
-        rows = np.flatnonzero(samples.pending) if index is None else index[samples.pending[index]]
+    def emission_at(self, samples: LightSamples, position: np.ndarray) -> None:
+        """Fill in `radiance` of the samples whose emission varies; clears `pending`.
+
+        position (N, 3) float64: the points that they were chosen for.
+        """
+        rows = np.flatnonzero(samples.pending)
         if not len(rows):
             return
+        for k, own in self.nodes.items():
+            some = rows[(samples.kind[rows] == LAMP) & (samples.index[rows] == k)]
+            if len(some):
+                direction, distance = samples.direction[some], samples.distance[some]
+                samples.radiance[some] *= own.emission(position[some], direction, distance)
+                samples.pending[some] = False
         worlds = rows[samples.kind[rows] == WORLD]
         if len(worlds):
             samples.radiance[worlds] = self.environment.radiance(samples.direction[worlds])
@@ -192,19 +204,12 @@ class Lights:
                 samples.v[chosen],
                 self._placements.world_from_part[place],
                 self._programs[m].emission_needs,
-                self._vantage(samples, chosen),
+                position[chosen],
             )
             emission = self._programs[m].emission(points)
             samples.radiance[chosen] = np.nan_to_num(emission, posinf=0.0, neginf=0.0)
         samples.pending[rows] = False
         samples.pending[worlds] = False
-
-    def _vantage(self, samples: LightSamples, rows: np.ndarray) -> np.ndarray:
-        """(n, 3) the lit points, from which the emissive triangles are seen."""
-        corners = self.arrays.emitters.vertices[samples.index[rows]]
-        u, v = samples.u[rows, None].astype(np.float64), samples.v[rows, None].astype(np.float64)
-        on_light = corners[:, 0] * (1.0 - u - v) + corners[:, 1] * u + corners[:, 2] * v
-        return on_light - samples.direction[rows] * samples.distance[rows, None]
 
     def seen_lamps(
         self,
@@ -222,21 +227,25 @@ class Lights:
         Lamps do not stop rays. visibility (N,) uint8: the ray's own bit (CAMERA, DIFFUSE, ...).
         """
         a = self.arrays
-        if len(a.met_lamps):
-            kernels.add_seen_lamps(
-                a.lamps,
-                a.tree,
-                a.met_lamps,
-                a.met_suns,
-                position,
-                direction,
-                t_hit,
-                visibility,
-                normal,
-                transmissive,
-                bsdf_pdf,
-                out,
-            )
+        if not len(a.met_lamps):
+            return
+        rays = (position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf)
+        kernels.add_seen_lamps(a.lamps, a.tree, a.met_lamps, a.met_suns, *rays, out)
+        for k, own in self.nodes.items():
+            if k not in a.met_lamps:
+                continue
+            lamps, met, suns = self.as_if_even(k)
+            seen = np.zeros_like(out)
+            kernels.add_seen_lamps(lamps, a.tree, met, suns, *rays, seen)
+            rows = np.flatnonzero(seen.any(1))
+            if len(rows):
+                out[rows] += seen[rows] * own.met(position[rows], direction[rows])
+
+    def as_if_even(self, k: int) -> tuple[Lamps, np.ndarray, int]:
+        """(lamps, met lamps, how many of these are suns): lamp k alone, as if its nodes gave 1."""
+        lamps = self.arrays.lamps
+        even = lamps._replace(varying=np.zeros_like(lamps.varying))
+        return even, np.array([k], np.int32), int(lamps.shape[k] > DISTANT)
 
     def emitter_pdf(self, path, triangle, position, normal, transmissive, direction, distance) -> np.ndarray:
         """(N,) float64: density per solid angle with which `sample` chooses the point met on a triangle; 0 if never.
@@ -301,6 +310,10 @@ def build_lights(
         sources.append(environment.sun.light)
         environment = environment.without_sun()
     lamps, warnings = compile_lamps(sources)
+    nodes = lamp_nodes(sources, lamps)
+    for k, own in nodes.items():
+        lamps.factor[k] = own.estimate()
+        warnings += [w for w in own.warnings if w not in warnings]
     emitters, material, places, more = find_emitters(geometry, programs, every)
     warnings = warnings + more + environment.warnings
     extended = (lamps.shape != POINT) & (lamps.shape != DISTANT)
@@ -321,4 +334,6 @@ def build_lights(
         for m, p in zip(geometry.materials, programs, strict=True)
     ]
     only_met = any(dark) or bool(more) or environment.unsampled
-    return Lights(arrays, environment, geometry, places, programs, material, sources, only_met, warnings)
+    return Lights(
+        arrays, environment, geometry, places, programs, material, sources, nodes, only_met, warnings
+    )

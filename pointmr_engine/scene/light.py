@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pointmr_engine.scene.graph import Graph
 from pointmr_engine.scene.group import VISIBLE
 
 
@@ -18,6 +19,7 @@ class Light:
     radius (m) of point and spot; angle (rad) of a sun; spot_angle (rad, full cone), spot_blend 0..1;
     size_x, size_y (m): full sides or diameters of "SQUARE", "RECTANGLE", "DISK", "ELLIPSE"; spread (rad, full cone).
     soft_falloff: as Cycles' option of the same name. visibility: the bits of scene.group.
+    graph: nodes whose emission is a factor of the lamp's light, by place, direction and distance; None: 1.
     lights_catchers: shadow catchers show its shadows; else it adds to their light, and may outshine shadows of others.
     """
 
@@ -40,4 +42,5 @@ class Light:
     use_mis: bool = True
     visibility: int = VISIBLE
     lights_catchers: bool = True
+    graph: Graph | None = None
     name: str = "Light"

@@ -74,6 +74,23 @@ class SurfacePoints:
         return replace(self, narrower=np.tile(by, self.count // len(by)))
 
 
+def add_missing_layers(points: SurfacePoints, needs: frozenset[str]) -> None:
+    """Fill the layers and attributes that `needs` names with zeros where the points have none."""
+    n = points.count
+    kinds = {
+        "uv": (points.uvs, (n, 2)),
+        "tangent": (points.tangents, (n, 4)),
+        "uv_footprint": (points.uv_footprints, (n,)),
+        "attribute": (points.attributes, (n, 4)),
+        "instance_attribute": (points.instance_attributes, (n, 4)),
+    }
+    for need in needs:
+        kind, _, name = need.partition(":")
+        if kind in kinds:
+            layers, shape = kinds[kind]
+            layers.setdefault(name, np.zeros(shape, np.float32))
+
+
 def _tiled(values: np.ndarray, times: int) -> np.ndarray:
     return np.tile(values, (times,) + (1,) * (values.ndim - 1))
 

@@ -18,7 +18,7 @@ from pointmr_engine.shading.footprint_mean import NEEDS
 from pointmr_engine.shading.leaf_plan import LeafPlan
 from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION, Leaf
 from pointmr_engine.shading.nodes.registry import Call
-from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints
+from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints, add_missing_layers
 from pointmr_engine.shading.values import normalize
 
 PLACES = frozenset({"position", "local", "generated", "uv", "attribute", "window"})
@@ -345,7 +345,6 @@ def evaluate_background(
     if camera_from_world is not None:
         camera = np.array(camera_from_world, np.float64)[:3]
         camera[:, 3] = 0  # the background is infinitely far: only the camera's rotation counts
-    needs = program._emission_plan.needs
     points = SurfacePoints(
         n,
         position=np.asarray(directions, np.float64),
@@ -372,18 +371,7 @@ def evaluate_background(
         camera_from_world=camera if camera is not None else np.eye(4)[:3],
         window=window if window is not None else np.zeros((n, 2), np.float32),
     )
-    for need in needs:
-        group, _, name = need.partition(":")
-        if group == "uv":
-            points.uvs[name] = np.zeros((n, 2), np.float32)
-        elif group == "tangent":
-            points.tangents[name] = np.zeros((n, 4), np.float32)
-        elif group == "uv_footprint":
-            points.uv_footprints[name] = np.zeros(n, np.float32)
-        elif group == "attribute":
-            points.attributes[name] = np.zeros((n, 4), np.float32)
-        elif group == "instance_attribute":
-            points.instance_attributes[name] = np.zeros((n, 4), np.float32)
+    add_missing_layers(points, program._emission_plan.needs)
     return program.emission(points)
 
 

@@ -58,7 +58,7 @@ def sampled(lights, position, normal=UP, n=N, transmissive=False, seed=0):
     out = allocate_light_samples(n)
     p, nor, trans = points(position, normal, n, transmissive)
     lights.sample(p, nor, trans, uniforms(n, seed=seed), out)
-    lights.emission_at(out)
+    lights.emission_at(out, p)
     assert not out.pending.any()
     return out
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from pointmr_engine.forward.drawing.surfel_lanes import FLAT, ROUND
 from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.raytracing.lamp_nodes import lamp_nodes
 from pointmr_engine.scene.light import Light
 
 
@@ -19,16 +20,30 @@ class SimpleShading:
         scene_lights = image.scene_lights
         chosen = [scene_lights[i] for i in image.lamps.source]
         self.image = image
-        self.lights = point_lights(chosen, image.camera.camera_from_world)
+        lights = point_lights(chosen, image.camera.camera_from_world)
+        self.nodes = lamp_nodes(scene_lights, image.lamps)  # of the last lamps (method.Image)
+        self.alone = {k: PointLights(*(column[k : k + 1] for column in lights)) for k in self.nodes}
+        self.even = PointLights(*(column[: len(chosen) - len(self.nodes)] for column in lights))
 
     def shade(self, space, hierarchy, count: int) -> None:
         """Fill space.light[:count] with radiance towards the camera; fragments on triangles get their looks."""
         f = space.fragments
         self._look_up_triangles(space, count)
+        perspective, shadow = self.image.view.perspective, space.shadow
         shade_lambert(
-            self.image.view.perspective, f.position, f.normal, f.albedo, f.emission, self.lights,
-            self.image.sampler.ambient, space.shadow, np.int64(count), space.light,
+            perspective, f.position, f.normal, f.albedo, f.emission, self.even, self.image.sampler.ambient,
+            shadow[: len(self.even.blend)], np.int64(count), space.light,
         )  # fmt: skip
+        for k, nodes in self.nodes.items():
+            own, dark = np.zeros((2, count, 3), np.float32)
+            shade_lambert(
+                perspective, f.position, f.normal, f.albedo, dark, self.alone[k], np.zeros(3), shadow[k : k + 1],
+                np.int64(count), own,
+            )  # fmt: skip
+            to_world = self.image.camera.world_from_camera
+            place = f.position[:count] @ to_world[:, :3].T + to_world[:, 3]
+            normal = (f.normal[:count] @ to_world[:, :3].T).astype(np.float32)
+            space.light[:count] += own * nodes.mean(place, normal)
 
     def _look_up_triangles(self, space, count: int) -> None:
         f = space.fragments

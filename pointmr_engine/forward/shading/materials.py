@@ -14,8 +14,9 @@ from pointmr_engine.forward.shading.fragment_surfaces import (
     place_values,
     surfel_frames,
 )
-from pointmr_engine.forward.shading.lobe_light import finish, shade_lamps, shade_world, widen_by_normals
+from pointmr_engine.forward.shading.lobe_light import finish, shade_world, widen_by_normals
 from pointmr_engine.forward.shading.placement_values import NEEDS
+from pointmr_engine.forward.shading.varying_lamps import SplitLamps
 from pointmr_engine.raytracing.camera import window_coordinates
 from pointmr_engine.raytracing.frames import frames
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
@@ -36,7 +37,7 @@ class FullShading:
         self.image = image
         self.shader = Shader(sampler.geometry, sampler.programs, image.settings, load_tables())
         self.world = sampler.world_light
-        self.lamps = image.lamps
+        self.lamps = SplitLamps(image.scene_lights, image.lamps)
         self.max_lobes = max((p.max_lobes for p in sampler.programs), default=1)
         needs = frozenset().union(*(p.needs for p in sampler.programs))
         self.window = "window" in needs
@@ -93,11 +94,17 @@ class FullShading:
         widen_by_normals(own.lobes, own.spread, own.alpha, n_)
         light = space.light[first : first + n]
         light[:] = 0.0
-        if len(self.lamps.shape):
-            shade_lamps(
-                own.lobes, own.view.incoming, own.frames.position, own.flat, own.alpha, self.lamps, space.shadow,
-                first_, n_, light,
-            )  # fmt: skip
+        self.lamps.shade(
+            own.lobes,
+            own.view.incoming,
+            own.frames.position,
+            own.flat,
+            own.alpha,
+            space.shadow,
+            first,
+            n,
+            light,
+        )
         world = self.world
         if not image.sampler.environment.black:
             shade_world(

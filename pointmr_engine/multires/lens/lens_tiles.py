@@ -332,24 +332,36 @@ class LensTiles(TracedTiles):
         )  # fmt: skip
 
     def _add_sky(self, seen: LensView) -> None:
-        """Add the world's radiance behind the open subpixels of a view."""
-        image, s = self.image, self.image.subpixels
-        if image.settings.film_transparent:
-            return
+        """Add the world's radiance behind the open subpixels of a view, and that of lamps before it."""
+        image, lamps = self.image, self.image.in_view
+        shows_world = not image.settings.film_transparent
         y, x = np.nonzero(self.open_in_view)
-        if not len(x):
+        if not len(x) or (lamps.empty and not shows_world):
             return
-        d = np.zeros((len(x), 3))
-        d[:, 2] = 1.0
-        if image.view.perspective:
-            d[:, 0] = (self.left + (x + 0.5) * s - image.view.shift_x) / image.view.scale_x
-            d[:, 1] = (self.low + (y + 0.5) * s - image.view.shift_y) / image.view.scale_y
-        d[:, :2] -= np.array([seen.x, seen.y]) / image.camera.lens[1]
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
-        world = d @ image.camera.world_from_camera[:, :3].T
         weight = self.open_in_view[y, x]
-        self.sky[y, x] += weight[:, None] * image.sampler.environment.radiance(world, CAMERA)
+        if shows_world:
+            _, direction = self._lens_rays(seen, x, y, 0.5, 0.5)
+            self.sky[y, x] += weight[:, None] * image.sampler.environment.radiance(direction, CAMERA)
+        if not lamps.empty:
+            u, v = (seen.column + 0.5) / image.side, (seen.row + 0.5) / image.side
+            light = np.zeros((len(x), 3), np.float32)
+            lamps.add(*self._lens_rays(seen, x, y, u, v), np.full(len(x), np.inf), light)
+            self.sky[y, x] += weight[:, None] * light
         self.open[y, x] += weight
+
+    def _lens_rays(self, seen: LensView, x, y, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
+        """(origins, unit directions) (n, 3) in world space from a point of the lens, through u, v of pixels (x, y)."""
+        view, s, to_world = self.image.view, self.image.subpixels, self.image.camera.world_from_camera
+        place, d = np.zeros((len(x), 3)), np.zeros((len(x), 3))
+        d[:, 2] = 1.0
+        beside = d if view.perspective else place
+        beside[:, 0] = (self.left + (x + u) * s - view.shift_x) / view.scale_x
+        beside[:, 1] = (self.low + (y + v) * s - view.shift_y) / view.scale_y
+        place[:, :2] += seen.x, seen.y
+        d[:, :2] -= np.array([seen.x, seen.y]) / self.image.camera.lens[1]
+        place += view.near * d
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        return place @ to_world[:, :3].T + to_world[:, 3], d @ to_world[:, :3].T
 
     def _background(self, bounds) -> None:
         """The world's mean radiance behind the open subpixels of each pixel."""
@@ -357,7 +369,7 @@ class LensTiles(TracedTiles):
         self.background[:rows, :columns] = 0
         n = self.open[:rows, :columns]
         self.background[:rows, :columns, :3] = self.sky[:rows, :columns] / np.maximum(n, 1)[..., None]
-        self.background[:rows, :columns, 3] = n > 0
+        self.background[:rows, :columns, 3] = (n > 0) & (not self.image.settings.film_transparent)
 
 
 def _unshear(normals: np.ndarray, seen: LensView) -> None:

@@ -94,8 +94,11 @@ def _slopes(lobes, k, b):
 
 
 @device
-def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out):
-    """Add to row k of out what sub-ray b of cone k brings of lamps near[:count] that it meets within `stop`."""
+def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out, towards):
+    """Add to row k of out what sub-ray b of cone k brings of lamps near[:count] that it meets within `stop`.
+
+    Its direction, by the weight of that, is added to row k of towards.
+    """
     c = lobes.cones
     u, v = _slopes(lobes, k, b)
     dx, dy, dz = direction_of(c, k, u, v)
@@ -117,23 +120,32 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out)
         scale *= lobes.weights[k, b] / (1.0 + ratio * ratio)
         for a in range(3):
             out[k, a] += lamps.radiance[lamp, a] * scale
+        towards[k, 0] += dx * scale
+        towards[k, 1] += dy * scale
+        towards[k, 2] += dz * scale
 
 
 @uncounted
-def lamps_in_cones(lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, near, out):
+def lamps_in_cones(
+    lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, near, out, towards
+):  # fmt: skip
     """out (N, 3) float32: radiance of lamps that the cones 0..n see, where they are to find it; 0 elsewhere.
 
-    tree: LightTree; met (K,) int32: lamps that rays can meet; fragments: what the cones meet; begin: see
-    first_fragments; near (K,) int32 to work in.
+    towards (N, 3) float64: where they see it on the whole, of no length.
+
+    tree: LightTree; met (K,) int32: lamps that rays can meet, of which those that vary are left out; fragments: what
+    the cones meet; begin: see first_fragments; near (K,) int32 to work in.
     """
     for k in range(n):
         out[k, 0] = out[k, 1] = out[k, 2] = 0
+        towards[k, 0] = towards[k, 1] = towards[k, 2] = 0.0
         if not finds_lamps(paths, lobes, k):
             continue
         count = np.int64(0)
         for i in range(len(met)):
             lamp = np.int64(met[i])
-            shown = lamps.mis[lamp] and lamps.visibility[lamp] & lobes.cones.visibility[k]
+            shown = lamps.mis[lamp] and not lamps.varying[lamp]
+            shown = shown and lamps.visibility[lamp] & lobes.cones.visibility[k]
             if shown and _may_lie_in(lamps, lamp, lobes.cones, np.int64(k)):
                 near[count] = lamp
                 count += 1
@@ -153,4 +165,5 @@ def lamps_in_cones(lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, 
                     stop,
                     paths.origin_transmissive[k],
                     out,
+                    towards,
                 )

@@ -257,14 +257,25 @@ class ConePaths(WideLamps):
 
     def _see_lamps(self, now, count: int, n: int) -> None:
         """Add the lamps that the cones of n paths see, between the `count` fragments that they meet."""
-        arrays, fragments = self.light.lights.arrays, self.met_fragments
+        lights, fragments = self.light.lights, self.met_fragments
         begin, seen = np.empty(n + 1, np.int64), np.empty((n, 3), np.float32)
         first_fragments(fragments, np.int64(count), begin)
-        near = np.empty(len(arrays.met_lamps), np.int32)
-        lamps_in_cones(
-            arrays.lamps, arrays.tree, arrays.met_lamps, now, self.lobe_cones, fragments, begin, np.int64(n), near,
-            seen,
-        )  # fmt: skip
+        near, towards = np.empty(len(lights.arrays.met_lamps), np.int32), np.empty((n, 3))
+
+        def find(lamps, met, out) -> None:
+            lamps_in_cones(
+                lamps, lights.arrays.tree, met, now, self.lobe_cones, fragments, begin, np.int64(n), near, out, towards
+            )  # fmt: skip
+
+        find(lights.arrays.lamps, lights.arrays.met_lamps, seen)
+        for k, nodes in lights.nodes.items():
+            own = np.empty((n, 3), np.float32)
+            lamps, met, _ = lights.as_if_even(k)
+            find(lamps, met, own)
+            rows = np.flatnonzero(own.any(1))
+            if len(rows):
+                there = towards[rows] / np.linalg.norm(towards[rows], axis=1, keepdims=True)
+                seen[rows] += own[rows] * nodes.met(self.lobe_cones.cones.origin[rows], there)
         paths.add_radiance(now, self.samples, self.stage.limits, seen, self.ones[:n], n)
 
     def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:

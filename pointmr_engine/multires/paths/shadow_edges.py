@@ -99,7 +99,7 @@ class EdgePaths(FragmentPaths):
         if self.alive is None or turn is None or turn[0] != LAMP:
             super()._look_at_light(now, m, turn)
             return
-        n, radiance = self.count, self.samples.radiance
+        n, radiance, lamps = self.count, self.samples.radiance, self.stage.lights.arrays.lamps
         before = radiance[:n].copy()
         self.open_light[:n], self.measures = 0.0, True
         super()._look_at_light(now, m, turn)
@@ -109,7 +109,7 @@ class EdgePaths(FragmentPaths):
         edge = np.empty(n, np.bool_)
         find_edges(
             self.pixel, space.used.shape, self.open_light, got, f.count[self.first : self.first + n],
-            is_beam(self.stage.lights.arrays.lamps, turn[1]), np.int64(n), self.low, self.high, edge,
+            bool(lamps.varying[turn[1]]) or is_beam(lamps, turn[1]), np.int64(n), self.low, self.high, edge,
         )  # fmt: skip
         rows = np.flatnonzero(edge)
         if not len(rows):

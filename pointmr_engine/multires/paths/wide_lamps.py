@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.shading.lobe_light import shade_lamps
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.cones.lamp_cones import (
     ALL,
@@ -108,15 +107,14 @@ class WideLamps(SharingPaths):
             rows = self._shadow(i, n)
             if len(rows):
                 self._add_through(now, i, rows, n, bounce)
-        self._shade(lamps, self.share, n, self.received)
+        self._shade(self.share, n, self.received)
         paths.add_radiance(now, self.samples, self.stage.limits, self.received[:n], self.ones[:n], n)
 
-    def _shade(self, lamps, share, n: int, out) -> None:
-        """Add what points 0..n send of lamps to the viewer, of whose light `share` (lamps, N) arrives, to out."""
-        shade_lamps(
-            self.lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, lamps, share, np.int64(0),
-            np.int64(n), out,
-        )  # fmt: skip
+    def _shade(self, share, n: int, out) -> None:
+        """Add what points 0..n send of the lamps to the viewer, of whose light `share` (lamps, N) arrives, to out."""
+        self.light.split.shade(
+            self.lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, share, 0, n, out
+        )
 
     def _starts(self, i: int, n: int) -> np.ndarray:
         """(N, 3) where what points 0..n send to lamp i starts."""
@@ -158,7 +156,7 @@ class WideLamps(SharingPaths):
 
     def _add_through(self, now, i: int, rows: np.ndarray, n: int, bounce: int) -> None:
         """Add what points `rows` send of lamp i, seen through surfaces by rays, to what points 0..n have received."""
-        lamp, own, samples = self.light.alone[i], self.through, self.samples
+        split, own, samples = self.light.split, self.through, self.samples
         slots, start = now.slot[rows], self._starts(i, n)
         own.seed[rows], own.number[rows] = samples.seed[slots], samples.number[slots]
         own.radiance[rows], self.total[rows] = 0.0, 0.0
@@ -170,15 +168,15 @@ class WideLamps(SharingPaths):
             m = self.choose_points(now, n, chosen, bounce)
             self.shift_points(m, (i + 1 + look * len(self.share)) * NEXT)
             rays = lamp_rays(
-                lamp, np.int64(0), start, self.lobes, self.behind_lit, self.frames.offset, self.hits,
+                split.alone[i], np.int64(0), start, self.lobes, self.behind_lit, self.frames.offset, self.hits,
                 now.state.transparent_depth, self.lit_rows, self.lit_u, np.int64(m), self.shadows, self.total,
             )  # fmt: skip
             self.samples = own  # their slots are points
             self.follow_shadow_rays(now, rays)
             self.samples = samples
-        share = np.zeros((1, n), np.float32)
-        share[0, rows] = 1.0
+        share = np.zeros_like(self.share)
+        share[i, rows] = 1.0
         self.open[rows] = 0.0
-        self._shade(lamp, share, n, self.open)
+        self._shade(share, n, self.open)
         arrived = own.radiance[rows] / np.maximum(self.total[rows], 1e-300)[:, None]
         self.received[rows] += self.open[rows] * arrived.astype(np.float32)

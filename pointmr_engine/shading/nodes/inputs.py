@@ -38,6 +38,16 @@ def _normal(c: Call) -> np.ndarray:
     return c.points.normal
 
 
+@node(
+    "implicit:object_incoming",
+    {},
+    {"value": VECTOR},
+    reads=lambda params, wanted: ("incoming", "world_from_part"),
+)
+def _object_incoming(c: Call) -> np.ndarray:
+    return normal_to_object(c.points, c.points.incoming)
+
+
 @node("implicit:generated", {}, {"value": VECTOR}, reads=lambda params, wanted: ("generated",))
 def _generated(c: Call) -> np.ndarray:
     return c.points.generated

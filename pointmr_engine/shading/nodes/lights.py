@@ -112,7 +112,7 @@ def _prepare(params: dict) -> dict:
 
 @node(
     "ies_texture",
-    {"vector": (VECTOR, From("incoming")), "strength": (FLOAT, 1.0)},
+    {"vector": (VECTOR, From("object_incoming")), "strength": (FLOAT, 1.0)},
     {"fac": FLOAT},
     prepare=_prepare,
 )
