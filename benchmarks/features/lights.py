@@ -28,6 +28,7 @@ from benchmarks.features.stage import (
     principled,
     softbox,
     sphere,
+    tiles,
     torus,
     tree_of,
     world,
@@ -239,6 +240,58 @@ def light_sky_sun():
     sky = node(tree, "ShaderNodeTexSky", sun_elevation=0.6, sun_rotation=2.4, sun_size=0.02)
     background = node(tree, "ShaderNodeBackground", {"Color": sky.outputs[0], "Strength": 0.05})
     node(tree, "ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
+
+
+@feature()
+def light_nodes_varying():
+    """Nodes of lamps: a slide in a spot, a photometric web over the wall, an area light that falls off by distance."""
+    _group()
+    spot = lamp(
+        "SPOT", 900, (-2.6, -3.0, 3.6), (0.2, 0.1, 0.4), spot_size=0.7, spot_blend=0.1, shadow_soft_size=0.02
+    )
+    tree = _emission_of(spot)
+    slide = node(tree, "ShaderNodeTexImage", image=image("slide", tiles()))
+    tree.links.new(slide.outputs[0], tree.nodes["Emission"].inputs["Color"])
+    wall = lamp("POINT", 60, (1.8, 1.2, 2.6), shadow_soft_size=0.05)
+    tree = _emission_of(wall)
+    web = node(tree, "ShaderNodeTexIES", mode="INTERNAL", ies=bpy.data.texts.new("web"))
+    web.ies.write(_photometric_web())
+    tree.links.new(web.outputs[0], tree.nodes["Emission"].inputs["Strength"])
+    panel = lamp("AREA", 6, (2.6, -2.6, 3.2), (0, 0, 0.5), size=1.0)
+    tree = _emission_of(panel)
+    falloff = node(tree, "ShaderNodeLightFalloff", {"Strength": 1.0})
+    tree.links.new(falloff.outputs["Constant"], tree.nodes["Emission"].inputs["Strength"])
+
+
+def _emission_of(item):
+    """The node tree of a lamp, an Emission node alone."""
+    item.data.use_nodes = True
+    tree = item.data.node_tree
+    tree.nodes.clear()
+    emission = node(tree, "ShaderNodeEmission", {"Strength": 1.0})
+    node(tree, "ShaderNodeOutputLight", {"Surface": emission.outputs[0]})
+    return tree
+
+
+def _photometric_web() -> str:
+    """An IES file of two beams, downwards and upwards."""
+    angles = np.arange(0, 181, 10)
+    candela = 900.0 * np.abs(np.cos(np.radians(angles))) ** 12 + 20.0
+    head = f"IESNA:LM-63-1995\nTILT=NONE\n1 1000 1 {len(angles)} 1 1 2 0 0 0\n1 1 100\n"
+    return head + " ".join(map(str, angles)) + "\n0\n" + " ".join(f"{c:.1f}" for c in candela) + "\n"
+
+
+@feature()
+def light_seen():
+    """Lamps that the camera sees: a panel and a ball before a floor and before the world."""
+    world((0.1, 0.13, 0.2))
+    camera(at=(0, -7.5, 2.0), target=(0, 0, 1.6), lens=38)
+    plane(matte(GREY), (0, 0, 0), 9.0)
+    sphere(matte(CREAM), (-1.35, 0.2, 0.9), 0.9)
+    lamp(
+        "AREA", 120, (0.6, 1.0, 1.8), (0, -3, 0.8), shape="RECTANGLE", size=1.6, size_y=0.9
+    ).visible_camera = True
+    lamp("POINT", 60, (-0.2, -0.6, 3.3), shadow_soft_size=0.35).visible_camera = True
 
 
 @feature()

@@ -8,7 +8,7 @@ import numpy as np
 
 from pointmr_engine.scene.mesh import Attribute
 
-from .derived import DERIVED
+from .derived import DERIVED, STRAND
 
 # data type -> (channels, property of an element, dtype in foreach_get)
 LAYOUTS = {
@@ -60,6 +60,8 @@ def requests(node_tree) -> Requests:
                     objects.add(node.attribute_name)  # an instancer without it is asked for its property
             elif kind == "ShaderNodeNewGeometry":
                 geometry.update(name for output, name in DERIVED.items() if node.outputs[output].is_linked)
+            elif kind == "ShaderNodeHairInfo":
+                geometry.update(name for output, name in STRAND.items() if node.outputs[output].is_linked)
             elif kind == "ShaderNodeVertexColor":
                 geometry.add(node.layer_name)
             elif kind in ("ShaderNodeUVMap", "ShaderNodeNormalMap", "ShaderNodeTangent"):

@@ -1,4 +1,4 @@
-"""Hair and point clouds as triangles: tubes along strands, spheres at points."""
+"""Blender's hair and point clouds: strands, which become tubes, and spheres at points."""
 
 from __future__ import annotations
 
@@ -7,54 +7,10 @@ import numpy as np
 from pointmr_engine.scene.group import Group, Instances
 from pointmr_engine.scene.mesh import Mesh
 
-SIDES = 4
+from .attributes import Requests, read_values
+from .strands import Strands, tubes
+
 MAX_HAIR_KEYS = 4_000_000  # above this, particle hair is thinned out, with a warning
-
-
-def tubes(
-    name: str, points: np.ndarray, starts: np.ndarray, counts: np.ndarray, radius: np.ndarray
-) -> Mesh | None:
-    """Open tubes of SIDES sides along strands of points.
-
-    points (P, 3), radius (P,); strand s holds counts[s] points from starts[s] on. None if no strand has two points.
-    """
-    long = counts > 1
-    starts, counts = starts[long].astype(np.int64), counts[long].astype(np.int64)
-    if not len(starts):
-        return None
-    total = int(counts.sum())
-    first = np.cumsum(counts) - counts
-    strand = np.repeat(np.arange(len(counts)), counts)
-    pick = np.arange(total) - first[strand] + starts[strand]
-    p, r = points[pick].astype(np.float64), radius[pick].astype(np.float64)
-    row = np.arange(total)
-    last = first + counts - 1
-    ahead, behind = row + 1, row - 1
-    ahead[last], behind[first] = last, first
-    tangent = unit(p[ahead] - p[behind])
-    # one reference axis per strand, the one it runs along least: the tube does not twist
-    run = np.abs(p[last] - p[first])
-    reference = np.eye(3)[np.argmin(run, 1)][strand]
-    side = unit(np.cross(tangent, reference))
-    up = np.cross(tangent, side)
-    angle = 2 * np.pi * np.arange(SIDES) / SIDES
-    normal = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * up[:, None]
-    positions = (p[:, None] + normal * r[:, None, None]).reshape(-1, 3)
-    lower = np.delete(row, last)[:, None] * SIDES + np.arange(SIDES)
-    right = np.delete(row, last)[:, None] * SIDES + (np.arange(SIDES) + 1) % SIDES
-    triangles = np.stack([lower, right, right + SIDES, lower, right + SIDES, lower + SIDES], 2).reshape(-1, 3)
-    return Mesh(
-        name,
-        positions.astype(np.float32),
-        triangles.astype(np.int32),
-        normal.reshape(-1, 3).astype(np.float32),
-    )
-
-
-def unit(v: np.ndarray) -> np.ndarray:
-    """Vectors (N, 3) at length 1, x where they have none."""
-    length = np.sqrt((v * v).sum(1, keepdims=True))
-    return np.where(length > 0, v / np.where(length > 0, length, 1), [1.0, 0.0, 0.0])
 
 
 def read_points(data, name: str, channels: int, count: int, default: float) -> np.ndarray:
@@ -67,17 +23,29 @@ def read_points(data, name: str, channels: int, count: int, default: float) -> n
     return out.reshape(count, channels)
 
 
-def hair_curves(data, name: str) -> Mesh | None:
+def hair_curves(data, name: str, wanted: Requests) -> Mesh | None:
     """Blender's hair Curves as tubes through their points (radius attribute, 5 mm where there is none)."""
     n = len(data.points)
     offsets = np.empty(len(data.curves) + 1, np.int32)
     data.curve_offset_data.foreach_get("value", offsets)
     points = read_points(data, "position", 3, n, 0.0)
     radius = read_points(data, "radius", 1, n, 0.005)[:, 0]
-    return tubes(name, points, offsets[:-1], np.diff(offsets), radius)
+    of = {"POINT": {}, "CURVE": {}}
+    for attribute in data.attributes:
+        if attribute.name in wanted.geometry and attribute.domain in of:
+            values = read_values(attribute)
+            if values is not None:
+                of[attribute.domain][attribute.name] = values
+    surface = data.attributes.get("surface_uv_coordinate")
+    uv = None if surface is None or surface.domain != "CURVE" else read_values(surface)
+    return tubes(
+        name, Strands(points, radius, offsets[:-1], np.diff(offsets), of["POINT"], of["CURVE"], uv), wanted
+    )
 
 
-def particle_hair(ob, system, modifier, world_to_object: np.ndarray, final: bool, watch) -> Mesh | None:
+def particle_hair(
+    ob, system, modifier, world_to_object: np.ndarray, final: bool, wanted: Requests, watch
+) -> Mesh | None:
     """A particle system's strands in the object's space, as tubes; None where there are none."""
     settings = system.settings
     parents, children = len(system.particles), len(system.child_particles)
@@ -114,7 +82,22 @@ def particle_hair(ob, system, modifier, world_to_object: np.ndarray, final: bool
     radius = 0.5 * settings.radius_scale * (settings.root_radius * (1 - along) + settings.tip_radius * along)
     if settings.use_close_tip:
         radius[starts + counts - 1] = 0.0
-    return tubes(f"{ob.name}/{system.name}", points, starts, counts, radius)
+    uv = _uv_on_emitter(ob, system, modifier, strands)
+    return tubes(f"{ob.name}/{system.name}", Strands(points, radius, starts, counts, {}, {}, uv), wanted)
+
+
+def _uv_on_emitter(ob, system, modifier, strands) -> np.ndarray | None:
+    """(S, 2) UV coordinates of the mesh where the strands grow, of the layer that is rendered; None without layers."""
+    layers = getattr(ob.data, "uv_layers", None)
+    if not layers:
+        return None
+    rendered = next((k for k, layer in enumerate(layers) if layer.active_render), 0)
+    parents = len(system.particles)
+    uv = np.zeros((len(strands), 2), np.float32)
+    for row, strand in enumerate(strands):
+        of = system.particles[min(strand, parents - 1)]
+        uv[row] = system.uv_on_emitter(modifier, particle=of, particle_no=strand, uv_no=rendered)
+    return uv
 
 
 def sphere(segments: int = 16, rings: int = 8) -> tuple[np.ndarray, np.ndarray]:

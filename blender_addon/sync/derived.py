@@ -11,6 +11,14 @@ from .seeds import hash_one
 # by which materials ask for them, attributes like others
 ISLAND, POINTINESS = ".random_per_island", ".pointiness"
 DERIVED = {"Random Per Island": ISLAND, "Pointiness": POINTINESS}  # by the node's outputs
+# of strands of hair, by outputs of the Hair Info node
+STRAND = {
+    "Is Strand": ".is_strand",
+    "Intercept": ".intercept",
+    "Length": ".length",
+    "Thickness": ".thickness",
+    "Random": ".strand_random",
+}
 
 
 def derived(name: str, mesh, triangles: np.ndarray, positions: np.ndarray) -> Attribute:

@@ -123,10 +123,10 @@ class GeometrySync:
             gs = self.geometry_set(ob)
             data = ob.data if gs is None else gs.curves
             if data is not None:
-                hair = curves.hair_curves(data, ob.name)
+                materials = self.slots.of_object(ob, data)
+                hair = curves.hair_curves(data, ob.name, self.slots.requests(materials))
                 if hair is not None:
-                    slots = self.slots
-                    hair.materials = slots.engine(slots.of_object(ob, data))
+                    hair.materials = self.slots.engine(materials, strands=True)
                     meshes.append(hair)
             if gs is not None and gs.mesh is not None:
                 meshes += self.set_mesh(gs, ob)
@@ -196,13 +196,12 @@ class GeometrySync:
             if settings.type != "HAIR" or settings.render_type != "PATH":
                 continue
             inverse = np.linalg.inv(matrix(ob.matrix_world))
-            mesh = curves.particle_hair(ob, system, modifier, inverse, self.final, self.watch)
+            materials = self.slots.of_object(ob, ob.data)
+            materials = materials[max(0, min(settings.material, len(materials)) - 1) :][:1]
+            wanted = self.slots.requests(materials)
+            mesh = curves.particle_hair(ob, system, modifier, inverse, self.final, wanted, self.watch)
             if mesh is not None:
-                slots = self.slots
-                materials = slots.of_object(ob, ob.data)
-                mesh.materials = slots.engine(
-                    materials[max(0, min(settings.material, len(materials)) - 1) :][:1]
-                )
+                mesh.materials = self.slots.engine(materials, strands=True)
                 result.append(mesh)
         return result
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
@@ -26,6 +28,7 @@ class MaterialSync:
         self.images = ImageSync(report) if images is None else images
         self._materials: dict[str, Material] = {}
         self._default: Material | None = None
+        self._of_strands: dict[Material, Material] = {}
 
     def get(self, material) -> Material:
         """The engine's material for a bpy Material, or for None the default grey one."""
@@ -37,6 +40,14 @@ class MaterialSync:
         if key not in self._materials:
             self._materials[key] = self._translate(material)
         return self._materials[key]
+
+    def of_strands(self, material) -> Material:
+        """`get`, for strands: one surface to light that goes through them, though their tubes have two walls."""
+        whole = self.get(material)
+        if whole not in self._of_strands:
+            graph = single_walled(whole.graph)
+            self._of_strands[whole] = whole if graph is None else replace(whole, graph=graph)
+        return self._of_strands[whole]
 
     def light_graph(self, light) -> Graph | None:
         """The node graph of a bpy Light, or None where it has no nodes that change its emission."""
@@ -115,6 +126,29 @@ def is_plain_light(graph: Graph) -> bool:
         return False
     color, strength = node.inputs.get("color", (1.0, 1.0, 1.0)), node.inputs.get("strength", 1.0)
     return not isinstance(color, Link) and tuple(color)[:3] == (1.0, 1.0, 1.0) and strength == 1.0
+
+
+def single_walled(graph: Graph) -> Graph | None:
+    """The surface of a graph that lets light through, clear where it is seen from behind; None if it lets none."""
+
+    def lets_through(node) -> bool:
+        alpha, transmission = node.inputs.get("alpha", 1.0), node.inputs.get("transmission_weight", 0.0)
+        if node.kind == "principled":
+            return (
+                isinstance(alpha, Link) or alpha < 1.0 or isinstance(transmission, Link) or transmission > 0.0
+            )
+        return node.kind in ("transparent", "translucent", "glass", "refraction")
+
+    if graph.surface is None or not any(lets_through(node) for node in graph.nodes.values()):
+        return None
+    sides, clear, both = "strand/sides", "strand/clear", "strand/both"
+    inputs = {"fac": Link(sides, "backfacing"), "shader": graph.surface, "shader_b": Link(clear, "bsdf")}
+    nodes = {
+        sides: Node("geometry"),
+        clear: Node("transparent", {"color": (1.0, 1.0, 1.0)}),
+        both: Node("mix_shader", inputs),
+    }
+    return replace(graph, nodes=graph.nodes | nodes, surface=Link(both, "shader"))
 
 
 def unrolled_tree(owner, constructor: str):

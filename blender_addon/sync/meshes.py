@@ -40,9 +40,9 @@ class SlotMaterials:
     def _overridden(self, materials: list) -> tuple:
         return tuple(materials) if self._override is None else (self._override,) * len(materials)
 
-    def engine(self, materials: tuple) -> tuple:
-        """The engine's materials."""
-        return tuple(self._sync.get(m) for m in materials)
+    def engine(self, materials: tuple, strands: bool = False) -> tuple:
+        """The engine's materials; of strands, those that these are made of."""
+        return tuple(self._sync.of_strands(m) if strands else self._sync.get(m) for m in materials)
 
     def requests(self, materials: tuple) -> Requests:
         """What these materials read of their mesh."""

@@ -10,7 +10,7 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.shading.nodes import NODES
 from pointmr_engine.shading.nodes.registry import From
 
-from .derived import DERIVED
+from .derived import DERIVED, STRAND
 from .node_table import Rule, params_of, rule_of
 
 _WRAPPERS = {"VALUE": "value", "INT": "value", "BOOLEAN": "value", "RGBA": "rgb", "VECTOR": "identity_vector"}
@@ -149,8 +149,8 @@ class Translator:
             return plain(output.default_value)
         if name == "Attribute" and node.attribute_type == "VIEW_LAYER":
             return self._view_layer_attribute(node, output)
-        if name == "NewGeometry" and output.identifier in DERIVED:
-            read = DERIVED[output.identifier]
+        read = {"NewGeometry": DERIVED, "HairInfo": STRAND}.get(name, {}).get(output.identifier)
+        if read is not None:
             self.graph.nodes[read] = Node("attribute", params={"name": read, "type": "GEOMETRY"})
             return Link(read, "fac")
         # without smoothing, light falls as it does without the node

@@ -41,8 +41,8 @@ from pointmr_engine.shading.points import SurfacePoints, add_missing_layers
 from pointmr_engine.shading.program import compile_graph
 
 _FAR = np.finfo(np.float32).max  # metres to a sun
-# what differs from place to place of a lamp
-_ON_LAMP = frozenset({"position", "local", "generated", "uv", "barycentric"})
+# what differs from place to place of a lamp; the second, where it does not go by the direction of the light alone
+_PLACES, _COORDINATES = frozenset({"position", "local", "generated"}), frozenset({"uv", "barycentric"})
 # places of a lamp in its mean: of small ones, of area lights, of what differs from place to place; powers of two
 FEW, SOME, MANY = 4, 16, 64
 
@@ -60,9 +60,11 @@ class LampNodes:
         self._world_from_light = np.asarray(light.world_from_light, np.float64)[:3]
         self._linear = inverse_linear(self._world_from_light)  # the lamp's own space, from the world's
         kinds = {need.partition(":")[0] for need in self._program.emission_needs}
-        wide = self._lamps.shape[0] in (RECTANGLE, ELLIPSE)
-        self.patterned = bool(kinds & _ON_LAMP) and self._lamps.shape[0] not in (POINT, DISTANT)
-        self._places = MANY if self.patterned else SOME if wide else FEW
+        shape = self._lamps.shape[0]
+        told = _PLACES if shape == DISC else _PLACES | _COORDINATES
+        self.patterned = bool(kinds & told) and shape not in (POINT, DISTANT)
+        flat = shape in (RECTANGLE, ELLIPSE)
+        self._places = MANY if self.patterned else SOME if flat else FEW
 
     def emission(self, position: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(n, 3) float32 factors of the lamp's radiance, where rays from points that it lights meet it.

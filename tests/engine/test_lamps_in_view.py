@@ -65,7 +65,7 @@ CAMERAS = {
     "orthographic": Camera(at(0, 0, 4), kind="ORTHOGRAPHIC", ortho_scale=3.0),
     "lens": from_above(4.0, fstop=0.2, focus_distance=2.0),
     "orthographic lens": Camera(
-        at(0, 0, 4), kind="ORTHOGRAPHIC", ortho_scale=3.0, fstop=2.0, focus_distance=2.0
+        at(0, 0, 4), kind="ORTHOGRAPHIC", ortho_scale=3.0, fstop=6.0, focus_distance=2.0
     ),
 }
 
