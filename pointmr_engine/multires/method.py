@@ -65,6 +65,7 @@ class TracedImage(Image):
         self.hardly = 0.0
         self.masked = np.array([p.masked for p in sampler.programs], np.bool_)  # Program.masked, by material
         # of materials, and of none
+        self.by_view = np.array([*(p.turns for p in sampler.programs), False], np.bool_)
         self.shining = stage.lights.shining(len(sampler.geometry.materials) + 1)
         self.tile = max(WIDTH // side - 2 * self.apron, 2)
         self.space_of = TracedTiles
@@ -82,8 +83,8 @@ class TracedImage(Image):
         return TracedShading(self)
 
     def choose_cut_outs(self):
-        """Colours pass by rays, but where the film wants one opacity of all."""
-        self.coloured = not self.settings.film_transparent
+        """Colours pass by rays, but where the film wants one opacity of all that do not go by the view."""
+        self.coloured = not self.settings.film_transparent or any(p.turns for p in self.sampler.programs)
         return self.sampler.densest_cut_outs if self.coloured else super().choose_cut_outs()
 
     @property

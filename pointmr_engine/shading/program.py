@@ -171,8 +171,8 @@ class Program:
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     masked: colours of its images count by their alpha, so that holes in them have none.
-    opaque: light never passes straight through; emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never
-        emits, None where emission varies.
+    opaque: light never passes straight through; turns: how much of it does depends on where it is seen from.
+    emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never emits, None where emission varies.
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
     """
 
@@ -223,6 +223,7 @@ class Program:
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
         self.surface_only: bool = self.varying_with <= {"surface"}
         self.opaque: bool = not transparency
+        self.turns: bool = bool(self.transparency_needs & {"backfacing", "incoming"})
         self.masked: bool = _masked(self._plan.steps)
         self.emissive: bool = bool(emission)
         self.constant_emission: tuple[float, float, float] | None = None

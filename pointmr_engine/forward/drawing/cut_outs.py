@@ -27,6 +27,8 @@ from pointmr_engine.raytracing.surface import points_at
 SAMPLES = 8_000_000  # at most, over all triangles that differ
 FINEST = 128  # samples along a triangle's edge at most
 NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose holes have a colour of their own
+# cosines under which what depends on the view is looked at, besides along the normal
+VIEWS = (-1.0, 0.5, -0.5, 0.1, -0.1)
 FIRST = 24  # so many tell which triangles are the same all over: these share one row
 
 
@@ -153,26 +155,46 @@ def part_materials(geometry: Geometry, part: int) -> np.ndarray:
 
 
 def _opacity(
-    geometry: Geometry, program, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+    geometry: Geometry, program, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
 ) -> np.ndarray:
-    """(n, 2) opacity of points of a part's triangles, 0..1: mean, and of the channel that is blocked most."""
+    """(n, 2) opacity of points of a part's triangles, 0..1: mean, and of the channel that is blocked most.
+
+    The second is the most that is seen from anywhere: rays pass what goes through besides.
+    """
     clear = np.clip(part_transparency(geometry, program, part, triangles, u, v), 0.0, 1.0)
     r, g, b = clear.T  # of three, numpy takes ten times as long along an axis
-    return 1.0 - np.stack(((r + g + b) / 3.0, np.minimum(np.minimum(r, g), b)), 1)
+    least = np.minimum(np.minimum(r, g), b)
+    for view in VIEWS if program.turns else ():
+        seen = part_transparency(geometry, program, part, triangles, u, v, view)
+        least = np.minimum(least, np.clip(seen, 0.0, 1.0).min(1))
+    return 1.0 - np.stack(((r + g + b) / 3.0, least), 1)
 
 
 def part_transparency(
-    geometry: Geometry, program, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
-) -> np.ndarray:
-    """(n, 3) share of light that passes points of parts' triangles (n,), in the part's own space."""
+    geometry: Geometry, program, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray,
+    view: float = 1.0,
+) -> np.ndarray:  # fmt: skip
+    """(n, 3) share of light that passes points of parts' triangles (n,), in the part's own space.
+
+    view: cosine of the angle to the triangles' normals under which they are seen, negative: from behind.
+    """
     n = len(triangles)
     whole = (geometry.tables.first_triangle[part] + triangles).astype(np.int32)
-    points = points_at(
-        geometry, np.broadcast_to(np.int32(part), n), whole,
-        u.astype(np.float32), v.astype(np.float32), np.broadcast_to(np.eye(4)[:3], (n, 3, 4)),
-        program.transparency_needs,
-    )  # fmt: skip
-    return program.transparency(points)
+
+    def points(needs, viewer=None):
+        return points_at(
+            geometry, np.broadcast_to(np.int32(part), n), whole, u.astype(np.float32), v.astype(np.float32),
+            np.broadcast_to(np.eye(4)[:3], (n, 3, 4)), needs, viewer,
+        )  # fmt: skip
+
+    if view == 1.0:
+        return program.transparency(points(program.transparency_needs))
+    at = points(frozenset({"position", "geometric_normal"}))
+    normal = at.geometric_normal.astype(np.float64)
+    beside = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
+    beside /= np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-30)
+    away = view * normal + math.sqrt(1.0 - view * view) * beside
+    return program.transparency(points(program.transparency_needs, at.position + away))
 
 
 def look_where_opaque(
@@ -198,9 +220,8 @@ def look_where_opaque(
         if program.opaque:
             continue
         u, v = fragments.place[rows[own]].T
-        clear = part_transparency(geometry, program, part[own], triangle[own], u, v)
-        opacity = 1.0 - np.clip(clear.min(1) if densest else clear.mean(1), 0.0, 1.0)
-        move_to_samples(cut_outs, fragments, rows[own], opacity)
+        opacity = _opacity(geometry, program, part[own], triangle[own], u, v)[:, 1 if densest else 0]
+        move_to_samples(cut_outs, fragments, rows[own], np.ascontiguousarray(opacity))
     return rows - first, material
 
 

@@ -41,11 +41,12 @@ def _leave_holes(lobes, through, k):
 
 
 @uncounted
-def close_transparency(lobes, throughput, coloured, passed, through, count):
+def close_transparency(lobes, throughput, coloured, by_view, passed, through, count):
     """Take the transparency of points 0..count out, as far as coverage accounts for it, and scale up what is left.
 
     coloured (N,) bool: covered by what the densest channel blocks; what the others let through besides stays. Elsewhere
-    coverage is by mean opacity, and nothing stays. passed (N,) float32: the share that coverage lets through there. Of
+    coverage is by mean opacity, and nothing stays. by_view (N,) bool: covered by the most that anybody sees of them:
+    what passes besides stays. passed (N,) float32: the share that coverage lets through there. Of
     lobes that were added to what passes (Add Shader), no more is taken: they do not fade with what they hide, and a
     surface that lets nearly all through would shine. through (N, 3) float32: see _leave_holes, or UNKNOWN.
     """
@@ -62,6 +63,8 @@ def close_transparency(lobes, throughput, coloured, passed, through, count):
             average += clear / 3.0
             least = min(least, clear)
         taken = min(least if coloured[k] else average, 0.999)
+        if by_view[k]:
+            taken = min(taken, np.float64(passed[k]))
         if scale * most > ADDED * (1.0 - taken):
             taken = min(taken, np.float64(passed[k]))
         whole = scale / (1.0 - taken)

@@ -138,6 +138,7 @@ class FragmentPaths(Workspace):
         self.shape = np.zeros((n, 6), np.float32)  # curvature.shape_operator of these
         self.pixel, self.in_pixel = np.empty(n, np.int64), np.empty((0, 0), np.int32)
         self.coloured, self.let_pass = np.zeros(n, np.bool_), np.zeros(n, np.float32)
+        self.by_view = np.zeros(n, np.bool_)
         self.clear = np.full((n, 3), UNKNOWN, np.float32)
         self.holed, self.place = np.zeros(n, np.bool_), np.empty((n, 2), np.float32)
         self.masked = np.zeros(0, np.int64)  # of those with holes, whose holes have no colour: Program.masked
@@ -232,6 +233,8 @@ class FragmentPaths(Workspace):
         self.own_slopes.known[:count] = False
         self.coloured[:count] = False
         self.coloured[triangles] = image.coloured
+        self.by_view[:count] = image.coloured & image.by_view[frame.material[:count]]
+        self.coloured[:count] |= self.by_view[:count]
         tables = self.stage.shader.geometry.tables
         spread_of_curvature(
             tables, hits, frame.smooth_normal, now.state.width, f.count[first : first + count],
@@ -380,5 +383,11 @@ class FragmentPaths(Workspace):
             now.state.spread[self.masked] *= NARROW
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
             close_transparency(
-                self.lobes, now.throughput, self.coloured, self.let_pass, self.clear, np.int64(n)
+                self.lobes,
+                now.throughput,
+                self.coloured,
+                self.by_view,
+                self.let_pass,
+                self.clear,
+                np.int64(n),
             )
