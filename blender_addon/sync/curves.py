@@ -83,7 +83,10 @@ def particle_hair(
     if settings.use_close_tip:
         radius[starts + counts - 1] = 0.0
     uv = _uv_on_emitter(ob, system, modifier, strands)
-    return tubes(f"{ob.name}/{system.name}", Strands(points, radius, starts, counts, {}, {}, uv), wanted)
+    middle, half = np.array(ob.data.texspace_location), np.array(ob.data.texspace_size)
+    roots = 0.5 + 0.5 * (points[starts] - middle) / np.where(half > 0.0, half, 1.0)
+    grown = Strands(points, radius, starts, counts, {}, {}, uv, roots)
+    return tubes(f"{ob.name}/{system.name}", grown, wanted)
 
 
 def _uv_on_emitter(ob, system, modifier, strands) -> np.ndarray | None:

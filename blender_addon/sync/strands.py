@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.scene.mesh import Attribute, Mesh
+from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 
 from .attributes import Requests
 from .seeds import hash_pair
@@ -32,6 +32,7 @@ class Strands(NamedTuple):
     of_points: dict[str, np.ndarray]
     of_strands: dict[str, np.ndarray]
     uv: np.ndarray | None
+    generated: np.ndarray | None = None  # (S, 3) of all of a strand, instead of its coordinates
 
 
 def tubes(name: str, strands: Strands, wanted: Requests) -> Mesh | None:
@@ -74,6 +75,7 @@ def _long(strands: Strands) -> Strands:
         {name: values[long] for name, values in strands.of_strands.items()}
         | {".strand_random": hash_pair(np.flatnonzero(long), 0)[:, None].astype(np.float64) / 2.0**32},
         None if strands.uv is None else strands.uv[long],
+        None if strands.generated is None else strands.generated[long],
     )
 
 
@@ -87,7 +89,9 @@ def _neighbours(own: Strands, strand: np.ndarray) -> list[np.ndarray]:
 def _pieces(own: Strands, strand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(points before, share of the way to the next) of the points of pieces, more where a strand bends more."""
     a, b, c, d = (own.points[rows] for rows in _neighbours(own, strand))
-    bend = np.linalg.norm(b + c - a - d, axis=1) / 16.0 / np.maximum(BENT * own.radius, 1e-30)
+    off, way = (b + c - a - d) / 16.0, unit(c - b)
+    off -= (off * way).sum(1, keepdims=True) * way
+    bend = np.linalg.norm(off, axis=1) / np.maximum(BENT * own.radius, 1e-30)
     count = np.ones(len(strand), np.int64)
     count[bend > 1.0] = 2
     count[bend > 4.0] = MOST
@@ -164,6 +168,10 @@ def _add_attributes(mesh: Mesh, own: Strands, wanted: Requests, key, u, strand, 
         found[name] = lambda values=values: _between(values, key, u)
     for name, values in own.of_strands.items():
         found[name] = lambda values=values: values[strand]
+    if wanted.generated and own.generated is not None:
+        mesh.attributes[GENERATED] = Attribute(
+            np.repeat(own.generated[strand], sides, 0).astype(np.float32), "vertex"
+        )
     for name in wanted.geometry & found.keys():
         mesh.attributes[name] = Attribute(np.repeat(found[name](), sides, 0).astype(np.float32), "vertex")
 
