@@ -16,7 +16,7 @@ from blender_addon.sync.images import ImageSync  # noqa: E402
 from blender_addon.sync.materials import MaterialSync  # noqa: E402
 from pointmr_engine.scene.graph import Link  # noqa: E402
 from pointmr_engine.shading.leaves import COLUMNS  # noqa: E402
-from pointmr_engine.shading.points import SurfacePoints  # noqa: E402
+from pointmr_engine.shading.points import SurfacePoints, add_missing_layers  # noqa: E402
 from pointmr_engine.shading.program import compile_graph  # noqa: E402
 
 
@@ -222,6 +222,7 @@ def test_no_node_stops_a_material(sync, kind):
         links.new(socket, output.inputs[0] if socket.type == "SHADER" else emission.inputs[0])
         program = compile_graph(sync.get(m).graph)
         points = node_planes.points_of(objects["any"])
+        add_missing_layers(points, program.needs)  # of strands
         for leaf in program.evaluate(points):
             assert np.isfinite(leaf.block).all() and len(leaf.block) in (1, points.count)
         assert np.isfinite(program.emission(points)).all() and np.isfinite(program.transparency(points)).all()
