@@ -183,6 +183,9 @@ class Workspace:
         if self.held is not None:
             held = np.repeat(self.held[:, None], 3, 1)
             combined[:, :, 3] = np.maximum(combined[:, :, 3] - filtered(held, nothing)[:, :, 0], 0.0)
+        lamps = self._lamps_behind(rows, columns)
+        if lamps is not None:
+            combined[:, :, :3] += lamps
         if image.settings.film_exposure != 1.0:
             combined[:, :, :3] *= image.settings.film_exposure
         if not np.isfinite(combined).all():
@@ -249,22 +252,16 @@ class Workspace:
         empty = self.empty[: n * rows, : n * columns]
         background = self.background[:rows, :columns]
         background[:] = 0
-        if not empty.any():
+        if image.settings.film_transparent or not empty.any():
             return
         uniform = image.sampler.environment.uniform(CAMERA)
-        if image.settings.film_transparent:
-            uniform = np.zeros(3)
-        elif uniform is not None:
+        if uniform is not None:
             background[:, :, :3], background[:, :, 3] = uniform, 1  # where all is covered, nothing reads it
-        if uniform is not None and image.in_view.empty:
             return
         empty = empty.reshape(rows, n, columns, n).any((1, 3))
         y, x = np.nonzero(empty)
-        if uniform is None:
-            background[y, x, :3] = image.sampler.environment.radiance(self._rays(x, y)[1], CAMERA)
-            background[y, x, 3] = 1
-        if not image.in_view.empty:
-            self._add_lamps_behind(x, y, background)
+        background[y, x, :3] = image.sampler.environment.radiance(self._rays(x, y)[1], CAMERA)
+        background[y, x, 3] = 1
 
     def _rays(
         self, x: np.ndarray, y: np.ndarray, u: float = 0.5, v: float = 0.5
@@ -281,16 +278,39 @@ class Workspace:
         d /= np.linalg.norm(d, axis=1, keepdims=True)
         return place @ to_world[:, :3].T + to_world[:, 3], d @ to_world[:, :3].T
 
-    def _add_lamps_behind(self, x: np.ndarray, y: np.ndarray, background: np.ndarray) -> None:
-        """Add the lamps that pixels (x, y) see where nothing lies before the background."""
-        lamps, image = self.image.in_view, self.image
+    def _lamps_behind(self, rows: int, columns: int) -> np.ndarray | None:
+        """(rows, columns, 3) light of the lamps that the tile sees where nothing is drawn; None: of none."""
+        lamps, image, s = self.image.in_view, self.image, self.image.subpixels
+        if lamps.empty or not self.empty.any():
+            return None
+        high, wide = self.height // s, self.width // s
+        y, x = (a.ravel() for a in np.mgrid[:high, :wide])
         near = lamps.near(*self._rays(x, y), image.pixel)
         x, y = x[near], y[near]
-        seen, reach = np.zeros((len(x), 3), np.float32), np.full(len(x), np.inf)
-        for k in range(LOOKS * LOOKS if len(x) else 0):
-            u, v = (k % LOOKS + 0.5) / LOOKS, (k // LOOKS + 0.5) / LOOKS
-            lamps.add(*self._rays(x, y, u, v), reach, seen)
-        background[y, x, :3] += seen / np.float32(LOOKS * LOOKS)
+        if not len(x):
+            return None
+        looks = LOOKS if s % LOOKS == 0 else s
+        seen = np.zeros((high, looks, wide, looks, 3), np.float32)
+        reach, own = np.full(len(x), np.inf), np.empty((len(x), 3), np.float32)
+        for j, i in np.ndindex(looks, looks):
+            own[:] = 0.0
+            lamps.add(*self._rays(x, y, (i + 0.5) / looks, (j + 0.5) / looks), reach, own)
+            seen[y, j, x, i] = own
+        seen = seen.reshape(high * looks, wide * looks, 3).repeat(s // looks, 0).repeat(s // looks, 1)
+        seen *= self.uncovered()[: self.height, : self.width, None]
+        for axis, count in ((1, columns), (0, rows)):
+            windows = np.lib.stride_tricks.sliding_window_view(seen, len(self.taps), axis)
+            seen = np.take(windows, s * np.arange(count), axis) @ self.taps.astype(np.float32)
+        return seen
+
+    @property
+    def taps(self) -> np.ndarray:
+        """The pixel filter's weights of subpixels along a side."""
+        return self.image.taps
+
+    def uncovered(self) -> np.ndarray:
+        """(H, W) share of each subpixel where nothing is drawn."""
+        return self.target.ids < 0
 
     def _add_lamps_in_front(self, count: int) -> None:
         """Add the lamps that the camera sees before fragments 0..count to their light."""

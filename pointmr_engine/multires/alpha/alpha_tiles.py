@@ -264,6 +264,13 @@ class AlphaTiles(TracedTiles):
     def end_looks(self, hierarchy, first: int, rows: np.ndarray, hits, rays) -> None:
         """Looks do not end: clumps of one crown hide too much together, and what lies behind them makes up for it."""
 
+    @property
+    def taps(self) -> np.ndarray:
+        return self.image.cell_taps
+
+    def uncovered(self) -> np.ndarray:
+        return self.clear
+
     def _slopes(self, count: int) -> Slopes:
         return NO_SLOPES  # no subpixel shows one fragment alone
 

@@ -349,6 +349,9 @@ class LensTiles(TracedTiles):
             self.sky[y, x] += weight[:, None] * light
         self.open[y, x] += weight
 
+    def _lamps_behind(self, rows: int, columns: int) -> None:
+        """Nothing: they are in the background (`_add_sky`)."""
+
     def _lens_rays(self, seen: LensView, x, y, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
         """(origins, unit directions) (n, 3) in world space from a point of the lens, through u, v of pixels (x, y)."""
         view, s, to_world = self.image.view, self.image.subpixels, self.image.camera.world_from_camera
