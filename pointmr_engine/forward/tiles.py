@@ -264,18 +264,29 @@ class Workspace:
         background[y, x, 3] = 1
 
     def _rays(
-        self, x: np.ndarray, y: np.ndarray, u: float = 0.5, v: float = 0.5
+        self,
+        x: np.ndarray,
+        y: np.ndarray,
+        u: float = 0.5,
+        v: float = 0.5,
+        eye: tuple[float, float] = (0.0, 0.0),
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(origins, unit directions) (n, 3) in world space of the tile's pixels (x, y), through u, v of each."""
-        view, s, to_world = self.image.view, self.image.subpixels, self.image.camera.world_from_camera
-        place, d = np.zeros((len(x), 3)), np.ones((len(x), 3))
+        """(origins, unit directions) (n, 3) in world space of the tile's pixels (x, y), through u, v of each.
+
+        eye: the point of the lens that they go through, metres from its centre.
+        """
+        image, view, s = self.image, self.image.view, self.image.subpixels
+        place, d = np.zeros((len(x), 3)), np.zeros((len(x), 3))
+        d[:, 2] = 1.0
         beside = d if view.perspective else place
         beside[:, 0] = (self.left + (x + u) * s - view.shift_x) / view.scale_x
         beside[:, 1] = (self.low + (y + v) * s - view.shift_y) / view.scale_y
-        if not view.perspective:
-            d[:, :2] = 0
+        if eye != (0.0, 0.0):
+            place[:, :2] += eye
+            d[:, :2] -= np.array(eye) / image.camera.lens[1]
         place += view.near * d
         d /= np.linalg.norm(d, axis=1, keepdims=True)
+        to_world = image.camera.world_from_camera
         return place @ to_world[:, :3].T + to_world[:, 3], d @ to_world[:, :3].T
 
     def _lamps_behind(self, rows: int, columns: int) -> np.ndarray | None:

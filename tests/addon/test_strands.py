@@ -102,6 +102,16 @@ VALUES = {
 }
 
 
+def showing(socket_of) -> bpy.types.Material:
+    """A material that shines with what socket_of(tree) has."""
+    material = bpy.data.materials.new("shown")
+    material.node_tree.nodes.clear()
+    tree = node_planes.Tree(material.node_tree)
+    emission = tree.node("Emission", {0: socket_of(tree)})
+    tree.tree.links.new(emission.outputs[0], tree.node("OutputMaterial").inputs[0])
+    return material
+
+
 def images(tmp_path, samples: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The scene by Cycles, and by our methods."""
     scene = bpy.context.scene
@@ -120,12 +130,7 @@ def images(tmp_path, samples: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 def test_materials_read_of_strands_what_they_do_in_cycles(tmp_path, name):
     stage.empty_scene()
     stage.world((0, 0, 0), 0)
-    material = bpy.data.materials.new("shown")
-    material.node_tree.nodes.clear()
-    tree = node_planes.Tree(material.node_tree)
-    emission = tree.node("Emission", {0: VALUES[name](tree)})
-    tree.tree.links.new(emission.outputs[0], tree.node("OutputMaterial").inputs[0])
-    hair(material)
+    hair(showing(VALUES[name]))
     view()
     theirs, found = images(tmp_path, 16)
     for image in found.values():
@@ -155,12 +160,7 @@ def test_particle_hair_has_the_colour_of_its_roots(tmp_path, output):
     """Coordinates are those of the mesh where a strand grows."""
     stage.empty_scene()
     stage.world((0, 0, 0), 0)
-    material = bpy.data.materials.new("shown")
-    material.node_tree.nodes.clear()
-    tree = node_planes.Tree(material.node_tree)
-    emission = tree.node("Emission", {0: tree.node("TexCoord").outputs[output]})
-    tree.tree.links.new(emission.outputs[0], tree.node("OutputMaterial").inputs[0])
-    ob = stage.plane(material, (0, 0, 0), 2.0)
+    ob = stage.plane(showing(lambda tree: tree.node("TexCoord").outputs[output]), (0, 0, 0), 2.0)
     settings = ob.modifiers.new("hair", "PARTICLE_SYSTEM").particle_system.settings
     settings.type, settings.count, settings.hair_length = "HAIR", 20, 2.0
     settings.root_radius = settings.tip_radius = 10.0

@@ -340,31 +340,17 @@ class LensTiles(TracedTiles):
             return
         weight = self.open_in_view[y, x]
         if shows_world:
-            _, direction = self._lens_rays(seen, x, y, 0.5, 0.5)
+            _, direction = self._rays(x, y, eye=(seen.x, seen.y))
             self.sky[y, x] += weight[:, None] * image.sampler.environment.radiance(direction, CAMERA)
         if not lamps.empty:
             u, v = (seen.column + 0.5) / image.side, (seen.row + 0.5) / image.side
             light = np.zeros((len(x), 3), np.float32)
-            lamps.add(*self._lens_rays(seen, x, y, u, v), np.full(len(x), np.inf), light)
+            lamps.add(*self._rays(x, y, u, v, (seen.x, seen.y)), np.full(len(x), np.inf), light)
             self.sky[y, x] += weight[:, None] * light
         self.open[y, x] += weight
 
     def _lamps_behind(self, rows: int, columns: int) -> None:
         """Nothing: they are in the background (`_add_sky`)."""
-
-    def _lens_rays(self, seen: LensView, x, y, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
-        """(origins, unit directions) (n, 3) in world space from a point of the lens, through u, v of pixels (x, y)."""
-        view, s, to_world = self.image.view, self.image.subpixels, self.image.camera.world_from_camera
-        place, d = np.zeros((len(x), 3)), np.zeros((len(x), 3))
-        d[:, 2] = 1.0
-        beside = d if view.perspective else place
-        beside[:, 0] = (self.left + (x + u) * s - view.shift_x) / view.scale_x
-        beside[:, 1] = (self.low + (y + v) * s - view.shift_y) / view.scale_y
-        place[:, :2] += seen.x, seen.y
-        d[:, :2] -= np.array([seen.x, seen.y]) / self.image.camera.lens[1]
-        place += view.near * d
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
-        return place @ to_world[:, :3].T + to_world[:, 3], d @ to_world[:, :3].T
 
     def _background(self, bounds) -> None:
         """The world's mean radiance behind the open subpixels of each pixel."""
