@@ -28,7 +28,7 @@ from pointmr_engine.raytracing.walk_veils import NOTED, allocate_veils, begin_ve
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
-from pointmr_engine.shading.points import RAY_SHADOW
+from pointmr_engine.shading.points import RAY_DIFFUSE, RAY_REFLECTION, RAY_SHADOW
 
 BATCH = 65536  # paths that move together: enough to make numpy's overhead small, few enough for the cache
 AT_ONCE = 1024  # surfaces that shadow rays pass in one step, where fewer rays wait: as for BATCH
@@ -94,7 +94,6 @@ class Workspace:
         if stage.needs.transparent_shadows and stage.needs.light_samples:
             self.veil_hits, self.veil_frames = allocate_hits(n), allocate_frames(n)
             self.veil_state = allocate_ray_state(n, camera_from_world)
-            self.veil_state.kind[:] = RAY_SHADOW
 
     def render_tile(self, tile: film.TileSums, first: int, count: int) -> None:
         """Add samples first..first+count of all the tile's pixels to its sums. At most `size` paths."""
@@ -395,6 +394,11 @@ class Workspace:
         source = self.shadows.source[ray]
         for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
             getattr(state, name)[:n] = getattr(now.state, name)[source]
+        # those to an even world stand for rays that surfaces scatter (direct_light.connect)
+        scattered = rays.visibility == DIFFUSE
+        state.kind[:n] = np.where(scattered, RAY_DIFFUSE | RAY_REFLECTION, RAY_SHADOW)
+        state.depth[:n] += scattered
+        state.diffuse_depth[:n] += scattered
         state.transparent_depth[:n] = np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n)
         # unfiltered: what materials make of a mean of their images is not the mean of what they let through
         state.width[:n] = 0.0

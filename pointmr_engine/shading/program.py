@@ -22,6 +22,8 @@ from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints, add_missing
 from pointmr_engine.shading.values import normalize
 
 PLACES = frozenset({"position", "local", "generated", "uv", "attribute", "window"})
+# what a camera's ray tells that its direction alone does not
+UNFORESEEN = frozenset({"ray_length", "transparent_depth", "camera_from_world", "window"})
 BLUNT = 0.45  # roughness from which lobes are wider than what most bumps would make of them
 
 
@@ -171,7 +173,8 @@ class Program:
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     masked: colours of its images count by their alpha, so that holes in them have none.
-    opaque: light never passes straight through; turns: how much of it does depends on where it is seen from.
+    opaque: light never passes straight through; turns: how much of it does depends on where it is seen from, or on
+    the ray's way there (`unforeseen`).
     emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never emits, None where emission varies.
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
     """
@@ -223,7 +226,8 @@ class Program:
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
         self.surface_only: bool = self.varying_with <= {"surface"}
         self.opaque: bool = not transparency
-        self.turns: bool = bool(self.transparency_needs & {"backfacing", "incoming"})
+        self.unforeseen: bool = bool(self.transparency_needs & UNFORESEEN)
+        self.turns: bool = self.unforeseen or bool(self.transparency_needs & {"backfacing", "incoming"})
         self.masked: bool = _masked(self._plan.steps)
         self.emissive: bool = bool(emission)
         self.constant_emission: tuple[float, float, float] | None = None

@@ -19,10 +19,14 @@ SKY = uniform_world((0.3, 0.4, 0.6))
 SUN = Light("SUN", look((1, 0, 3), (0, 0, 0)), power=2.0, angle=0.0)
 
 
-def seen_by(share: Link, *extra: Node, alpha: float = 1.0) -> Material:
-    """Red where `share`, of the node "view", is 0; clear where it is 1. alpha: of the red side."""
+MULTIPLIED = {"operation": "MULTIPLY"}
+
+
+def seen_by(share: Link, view: Node, alpha: float = 1.0) -> Material:
+    """Red where `share`, of the nodes "view" and "path", is 0; clear where it is 1. alpha: of the red side."""
     nodes = {
-        "view": extra[0],
+        "view": view,
+        "path": Node("light_path"),
         "red": Node("diffuse", {"color": (0.8, 0.1, 0.1)}),
         "clear": Node("transparent", {"color": (1.0, 1.0, 1.0)}),
         "side": Node("mix_shader", {"fac": alpha, "shader": Link("clear", "bsdf"), "shader_b": Link("red", "bsdf")}),
@@ -36,6 +40,16 @@ MATERIALS = {
     "half clear from behind": seen_by(Link("view", "backfacing"), Node("geometry"), alpha=0.5),
     "clear where it faces": seen_by(Link("view", "facing"), Node("layer_weight", {"blend": 0.5})),
     "by Fresnel's law": seen_by(Link("view", "fac"), Node("fresnel", {"ior": 1.6})),
+    "by distance": seen_by(
+        Link("view", "value"), Node("math", {"value": Link("path", "ray_length"), "value_b": 0.2}, MULTIPLIED)
+    ),
+    "behind others": seen_by(
+        Link("view", "value"),
+        Node("math", {"value": Link("path", "transparent_depth"), "value_b": 0.7}, MULTIPLIED),
+    ),
+    "to shadow rays": seen_by(Link("path", "is_shadow_ray"), Node("light_path")),
+    "to scattered rays": seen_by(Link("path", "is_diffuse_ray"), Node("light_path")),
+    "to the camera": seen_by(Link("path", "is_camera_ray"), Node("light_path")),
 }
 
 
@@ -45,7 +59,10 @@ def scene(material: Material, turn: float) -> Scene:
     placed = np.eye(4)
     placed[:3, :3] = [[1, 0, 0], [0, c, -s], [0, s, c]]
     placed[2, 3] = 1.5
-    card = instance(Group("card", [quad(1.5, material=material)]), placed)
+    pair = [
+        quad(1.5, z=0.1 * k, material=material) for k in range(2)
+    ]  # of which the second is seen through the first
+    card = instance(Group("card", pair), placed)
     eye = np.eye(4)
     eye[2, 3] = 5.0
     return Scene(Group("root", [quad(6.0, material=GREY)], [card]), Camera(eye), [SUN], SKY)
@@ -59,7 +76,7 @@ def close(scene: Scene, **values) -> None:
     )
     middle = np.s_[16:20, 22:26]
     np.testing.assert_allclose(ours[middle].mean((0, 1)), exact[middle].mean((0, 1)), rtol=0.06, atol=0.01)
-    assert np.abs(ours - exact)[..., :3].mean() <= 0.03 * exact[..., :3].mean()
+    assert np.abs(ours - exact)[..., :3].mean() <= 0.04 * exact[..., :3].mean()
 
 
 @pytest.mark.parametrize("name", MATERIALS)

@@ -164,7 +164,9 @@ def _opacity(
     clear = np.clip(part_transparency(geometry, program, part, triangles, u, v), 0.0, 1.0)
     r, g, b = clear.T  # of three, numpy takes ten times as long along an axis
     least = np.minimum(np.minimum(r, g), b)
-    for view in VIEWS if program.turns else ():
+    if program.unforeseen:
+        least[:] = 0.0
+    for view in VIEWS if program.turns and not program.unforeseen else ():
         seen = part_transparency(geometry, program, part, triangles, u, v, view)
         least = np.minimum(least, np.clip(seen, 0.0, 1.0).min(1))
     return 1.0 - np.stack(((r + g + b) / 3.0, least), 1)
