@@ -244,7 +244,7 @@ def light_sky_sun():
 
 @feature()
 def light_nodes_varying():
-    """Nodes of lamps: a slide in a spot, a photometric web over the wall, an area light that falls off by distance."""
+    """Nodes of lamps: a slide in a spot, and a photometric web over the wall."""
     _group()
     spot = lamp(
         "SPOT", 900, (-2.6, -3.0, 3.6), (0.2, 0.1, 0.4), spot_size=0.7, spot_blend=0.1, shadow_soft_size=0.02
@@ -257,8 +257,13 @@ def light_nodes_varying():
     web = node(tree, "ShaderNodeTexIES", mode="INTERNAL", ies=bpy.data.texts.new("web"))
     web.ies.write(_photometric_web())
     tree.links.new(web.outputs[0], tree.nodes["Emission"].inputs["Strength"])
-    panel = lamp("AREA", 6, (2.6, -2.6, 3.2), (0, 0, 0.5), size=1.0)
-    tree = _emission_of(panel)
+
+
+@feature()
+def light_falloff():
+    """An area light that does not fall off with the distance."""
+    _group()
+    tree = _emission_of(lamp("AREA", 30, (2.6, -2.6, 3.2), (0, 0, 0.5), size=1.0))
     falloff = node(tree, "ShaderNodeLightFalloff", {"Strength": 1.0})
     tree.links.new(falloff.outputs["Constant"], tree.nodes["Emission"].inputs["Strength"])
 
