@@ -10,6 +10,7 @@ import numpy as np
 from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 
 from .attributes import Requests
+from .derived import STRAND
 from .seeds import hash_pair
 
 # sides of a tube, by points of all strands up to which they have so many
@@ -21,8 +22,8 @@ MOST = 4  # pieces of a segment: those of Cycles' ribbons, at its default
 class Strands(NamedTuple):
     """S strands of P points, in the object's space.
 
-    Strand s holds counts[s] points from starts[s] on. along: by name, (P, channels) float32 of points or
-    (S, channels) of strands, that materials may ask for. uv (S, 2) float32 of the surface that they grow on, or None.
+    Strand s holds counts[s] points from starts[s] on. of_points (P, channels), of_strands (S, channels) float32: what
+    materials may ask for, by name. uv (S, 2) float32 of the surface that they grow on, or None.
     """
 
     points: np.ndarray  # (P, 3) float64
@@ -73,7 +74,7 @@ def _long(strands: Strands) -> Strands:
         counts,
         {name: values[pick] for name, values in strands.of_points.items()},
         {name: values[long] for name, values in strands.of_strands.items()}
-        | {".strand_random": hash_pair(np.flatnonzero(long), 0)[:, None].astype(np.float64) / 2.0**32},
+        | {STRAND["Random"]: hash_pair(np.flatnonzero(long), 0)[:, None].astype(np.float64) / 2.0**32},
         None if strands.uv is None else strands.uv[long],
         None if strands.generated is None else strands.generated[long],
     )
@@ -159,10 +160,10 @@ def _add_attributes(mesh: Mesh, own: Strands, wanted: Requests, key, u, strand, 
     length = way[own.starts + own.counts - 1]
     share = way / np.maximum(np.repeat(length, own.counts), 1e-30)
     found = {
-        ".is_strand": lambda: np.ones((len(key), 1)),
-        ".intercept": lambda: _between(share[:, None], key, u),
-        ".length": lambda: length[strand][:, None],
-        ".thickness": lambda: 2.0 * radius[:, None],
+        STRAND["Is Strand"]: lambda: np.ones((len(key), 1)),
+        STRAND["Intercept"]: lambda: _between(share[:, None], key, u),
+        STRAND["Length"]: lambda: length[strand][:, None],
+        STRAND["Thickness"]: lambda: 2.0 * radius[:, None],
     }
     for name, values in own.of_points.items():
         found[name] = lambda values=values: _between(values, key, u)

@@ -23,8 +23,6 @@ from pointmr_engine.scene.group import CAMERA
 
 TILE = 94  # pixels; with one more on each side for the filter, and four subpixels, whole blocks
 WIDE_TILE = 190  # where a pixel has two subpixels a side, or one: the buffers stay in the second-level cache
-
-
 LOOKS = 4  # of a pixel at lamps before the background, along each of its sides
 
 
