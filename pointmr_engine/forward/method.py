@@ -14,6 +14,7 @@ import numpy as np
 
 from pointmr_engine.forward.baked.baking import Baker
 from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
+from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.forward.drawing.subpixels import make_view
 from pointmr_engine.forward.reconstruction import scattered
 from pointmr_engine.forward.reconstruction.pixel_filter import filter_taps
@@ -45,7 +46,8 @@ class Sampler:
         self.baker = Baker(geometry, programs)
         self.looks = self.baker.constant_looks()
         self.environment = environment
-        self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(geometry, programs)
+        self.opacity = PartOpacity(geometry, programs)
+        self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(self.opacity)
         self.near_cut_outs = NearCutOuts(sources)
         self.emissive_lamps = emissive_lamps(geometry, programs)
         self.corners = triangle_corners(self.octree)

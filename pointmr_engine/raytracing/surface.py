@@ -9,6 +9,7 @@ import numpy as np
 
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.layers import NONE, interpolate, layer
+from pointmr_engine.hierarchy.placements import Placements
 from pointmr_engine.raytracing.frames import (
     Frames,
     Samples,
@@ -27,7 +28,16 @@ from pointmr_engine.shading.footprint_mean import GRAZING
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.values import cross
 
-__all__ = ["Frames", "RayState", "allocate_frames", "allocate_ray_state", "frames", "gather", "points_at"]
+__all__ = [
+    "Frames",
+    "RayState",
+    "allocate_frames",
+    "allocate_ray_state",
+    "frames",
+    "gather",
+    "place_points",
+    "points_at",
+]
 
 
 class RayState(NamedTuple):
@@ -180,6 +190,20 @@ def points_at(
         elif need.startswith("instance_attribute:"):
             points.instance_attributes[need.partition(":")[2]] = np.zeros((n, 4), np.float32)
     return points
+
+
+def place_points(geometry: Geometry, points: SurfacePoints, placed: Placements, k: int) -> None:
+    """Fill what the instances of placement k say, where the points have it."""
+    n = points.count
+    if points.object_index is not None:
+        points.object_index = np.full(n, placed.object_index[k], np.int32)
+    if points.object_color is not None:
+        points.object_color = np.repeat(placed.color[k : k + 1], n, 0)
+    if points.object_random is not None:
+        points.object_random = np.full(n, placed.seed[k] * (1 / 2**32), np.float32)
+    for name in points.instance_attributes:
+        found = _instance_attribute(geometry, placed.instance[k : k + 1], name)
+        points.instance_attributes[name] = np.repeat(found, n, 0)
 
 
 def _fill_surface(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pointmr_engine.scene.graph import Graph, Link, Node
@@ -12,16 +14,27 @@ from pointmr_engine.shading.nodes import NODES, SHADERS
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, From, ShaderType
 
 
-def flatten(
-    graph: Graph, kind: str, filtered: bool = True
-) -> tuple[list[Step], list[LeafPlan], list[Source], list[Source], list[str]]:
-    """Steps, leaves, terms of the straight-through transparency, terms of the emission, and warnings."""
+class Flat(NamedTuple):
+    """What a graph comes to. The values of several terms are added up."""
+
+    steps: list[Step]
+    leaves: list[LeafPlan]
+    transparency: list[Source]  # terms of what passes straight through
+    emission: list[Source]
+    # terms of what is sent besides, by emission and by lobes, where that and the transparency may be more than one
+    shown: list[Source]
+    warnings: list[str]
+
+
+def flatten(graph: Graph, kind: str, filtered: bool = True) -> Flat:
+    """A graph's leaves, and the steps that they depend on."""
     builder = Builder(graph, kind, filtered)
     if graph.displacement is not None and kind == "surface":
         builder.normal = _displaced_normal(builder, graph.displacement)
     plans: list[LeafPlan] = []
     transparency: list[Source] = []
     emission: list[Source] = []
+    shown: list[Source] = []
     for node, weight in _weighted_leaves(builder, graph):
         shader = SHADERS[node.kind]
         if shader.warning:
@@ -29,11 +42,13 @@ def flatten(
         made = _leaf(builder, shader, node, weight)
         if made is None:
             continue
-        plan, passing, emitted = made
+        plan, passing, emitted, own = made
         plans.append(plan)
         transparency += passing
         emission += emitted
-    return builder.steps, plans, transparency, emission, builder.warnings
+        shown += own
+    adds = bool(emission) or any(node.kind == "add_shader" for node in graph.nodes.values())
+    return Flat(builder.steps, plans, transparency, emission, shown if adds else [], builder.warnings)
 
 
 def _displaced_normal(builder: Builder, link: Link) -> Source | None:
@@ -116,8 +131,8 @@ def _topological(graph: Graph, root: str, builder: Builder) -> list[str]:
 
 def _leaf(
     builder: Builder, shader: ShaderType, node: Node, weight: Source
-) -> tuple[LeafPlan, list[Source], list[Source]] | None:
-    """The plan of one leaf, what it lets pass and what it emits; None for one that never does anything."""
+) -> tuple[LeafPlan, list[Source], list[Source], list[Source]] | None:
+    """The plan of one leaf, what it lets pass, emits and shows; None for one that never does anything."""
     inputs: dict[str, Source] = {}
     for name, (type_, default) in shader.inputs.items():
         if isinstance(default, From) and not isinstance(node.inputs.get(name), Link):
@@ -131,6 +146,7 @@ def _leaf(
 
     passing: list[Source] = []
     emitted: list[Source] = []
+    shown: list[Source] = []
     if shader.tint is not None:
         weight = builder.product(weight, inputs[shader.tint])
     if shader.strength is not None:
@@ -145,10 +161,14 @@ def _leaf(
         shone = builder.product(builder.product(weight, inputs["alpha"]), values["emission"])
         passing += [] if _is_zero(passed) else [passed]
         emitted += [] if _is_zero(shone) else [shone]
+        shown += [*emitted, builder.product(weight, clear["second"])]
     elif shader.leaf == L.TRANSPARENT:
         passing.append(weight)
     elif shader.leaf in (L.EMISSION, L.BACKGROUND):
         emitted.append(weight)
+        shown.append(weight)
+    elif shader.leaf != L.HOLDOUT:
+        shown.append(weight)
 
     names = L.COLUMNS[shader.leaf]
     columns = [(0, 3, builder.convert(weight, COLOR) if isinstance(weight, Constant) else weight)]
@@ -168,7 +188,7 @@ def _leaf(
     lobes = _lobe_bound(shader.leaf, inputs)
     template = leaf_template(shader.leaf, columns)
     plan = LeafPlan(shader.leaf, tuple(columns), varying, normals, distribution, lobes, template)
-    return plan, passing, emitted
+    return plan, passing, emitted, shown
 
 
 def _normals(

@@ -13,7 +13,7 @@ import numpy as np
 from pointmr_engine.scene.graph import Graph
 from pointmr_engine.shading.compiler import Constant, Slot, Source, Step
 from pointmr_engine.shading.differentials import axes_at, moved_points
-from pointmr_engine.shading.flatten import flatten
+from pointmr_engine.shading.flatten import Flat, flatten
 from pointmr_engine.shading.footprint_mean import NEEDS
 from pointmr_engine.shading.leaf_plan import LeafPlan
 from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION, Leaf
@@ -24,6 +24,19 @@ from pointmr_engine.shading.values import normalize
 PLACES = frozenset({"position", "local", "generated", "uv", "attribute", "window"})
 # what a camera's ray tells that its direction alone does not
 UNFORESEEN = frozenset({"ray_length", "transparent_depth", "camera_from_world", "window"})
+# what the place tells that a part is put to, and, where nothing is read of the ray that normals turn with
+OF_PLACEMENT = frozenset(
+    {
+        "position",
+        "world_from_part",
+        "object_location",
+        "object_color",
+        "object_index",
+        "object_random",
+        "instance_attribute",
+    }
+)
+OF_ROTATION = frozenset({"normal", "smooth_normal", "geometric_normal"})
 BLUNT = 0.45  # roughness from which lobes are wider than what most bumps would make of them
 
 
@@ -167,41 +180,33 @@ class Program:
 
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
-    transparency_needs, emission_needs: the same for `transparency` and `emission`. fine_reads: for `fine_values`;
-        fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine. normal_reads,
-        normal_needs, image_reads, image_needs: the same for `normal_values` and `image_values`.
+    transparency_needs, emission_needs, shown_needs: the same for `transparency`, `emission` and `shown`. fine_reads:
+        for `fine_values`; fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine.
+        normal_reads, normal_needs, image_reads, image_needs: the same for `normal_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     masked: colours of its images count by their alpha, so that holes in them have none.
-    opaque: light never passes straight through; turns: how much of it does depends on where it is seen from, or on
-    the ray's way there (`unforeseen`).
+    opaque: light never passes straight through; turns: how much of it does depends on where it is seen from (`faces`),
+    on the ray's way there (`unforeseen`), or on where the part is placed (`placed`), or more may be sent besides than
+    what does not pass (`adds`).
     emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never emits, None where emission varies.
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        steps: list[Step],
-        leaves: list[LeafPlan],
-        transparency: list[Source],
-        emission: list[Source],
-        warnings: list[str],
-        filtered: bool = False,
-        unfiltered: tuple[list[Step], list[Source]] | None = None,
-    ) -> None:
-        """The results of `flatten`. unfiltered: its steps and transparency without footprints, where the others have
-        them.
-        """
+    def __init__(self, kind: str, flat: Flat, filtered: bool = False, unfiltered: Flat | None = None) -> None:
+        """unfiltered: `flat` without footprints, where it has them."""
+        steps, leaves, transparency, emission, _, warnings = flat
+        unfiltered = unfiltered or flat
         self.kind = kind
         self.leaves = tuple(leaves)
         self.warnings = warnings
         sources = [s for leaf in leaves for _, _, s in leaf.columns]
         sources += [s for leaf in leaves for s in leaf.normals.values()]
         self._plan = Plan(steps, sources)
-        clear_steps, self._transparency = unfiltered or (steps, transparency)
+        self._transparency, self._shown = unfiltered.transparency, unfiltered.shown if transparency else []
         self._emission = emission
-        self._transparency_plan = Plan(clear_steps, self._transparency)
+        self._transparency_plan = Plan(unfiltered.steps, self._transparency)
+        self._shown_plan = Plan(unfiltered.steps, self._shown)
         self._emission_plan = Plan(steps, emission)
         columns, normals = (
             fine_slots(steps, leaves, not transparency) if filtered and kind == "surface" else ([], [])
@@ -222,12 +227,17 @@ class Program:
         self.normal_reads: frozenset[str] = self._normal_plan.needs
         self.normal_needs: frozenset[str] = self.normal_reads | NEEDS if normals else frozenset()
         self.transparency_needs: frozenset[str] = self._transparency_plan.needs
+        self.shown_needs: frozenset[str] = self._shown_plan.needs
         self.emission_needs: frozenset[str] = self._emission_plan.needs
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
         self.surface_only: bool = self.varying_with <= {"surface"}
         self.opaque: bool = not transparency
         self.unforeseen: bool = bool(self.transparency_needs & UNFORESEEN)
-        self.turns: bool = self.unforeseen or bool(self.transparency_needs & {"backfacing", "incoming"})
+        read = {need.partition(":")[0] for need in self.transparency_needs | self.shown_needs}
+        self.adds: bool = bool(self._shown)
+        self.placed: bool = bool(read & (OF_PLACEMENT if "incoming" in read else OF_PLACEMENT | OF_ROTATION))
+        self.faces: bool = bool(read & {"backfacing", "incoming"})
+        self.turns: bool = self.faces or self.unforeseen or self.placed or self.adds
         self.masked: bool = _masked(self._plan.steps)
         self.emissive: bool = bool(emission)
         self.constant_emission: tuple[float, float, float] | None = None
@@ -284,6 +294,11 @@ class Program:
         with np.errstate(all="ignore"):
             return _sum(self._transparency, self._transparency_plan.run(points), points.count)
 
+    def shown(self, points: SurfacePoints) -> np.ndarray:
+        """(N, 3) float32: what is emitted, and the weights of all lobes, of a program that `adds`."""
+        with np.errstate(all="ignore"):
+            return _sum(self._shown, self._shown_plan.run(points), points.count)
+
     def emission(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32 emitted radiance (background radiance for a world), without a coat's or sheen's shading."""
         with np.errstate(all="ignore"):
@@ -319,12 +334,9 @@ def compile_graph(graph: Graph, kind: str = "surface", filtered: bool = True) ->
     filtered: images are averaged over the ray's footprint. Without, they are read at the point: right where many rays
     share a pixel, whose mean is then the filter, after shading instead of before.
     """
-    steps, leaves, transparency, emission, warnings = flatten(graph, kind, filtered)
-    unfiltered = None
-    if filtered and transparency:
-        own_steps, _, own_transparency, _, _ = flatten(graph, kind, False)
-        unfiltered = own_steps, own_transparency
-    return Program(kind, steps, leaves, transparency, emission, warnings, filtered, unfiltered)
+    flat = flatten(graph, kind, filtered)
+    unfiltered = flatten(graph, kind, False) if filtered and flat.transparency else None
+    return Program(kind, flat, filtered, unfiltered)
 
 
 def evaluate_background(

@@ -22,12 +22,17 @@ def sample_place(row, p, q, side):
     """(u, v): barycentric weights of vertices 1 and 2 of the sample in cell (p, q) of a triangle's side x side cells.
 
     row: number of the triangle. Places differ from triangle to triangle: what falls between the samples of one does not
-    do so for all. Cells beyond the triangle's edge are those of its other half.
+    do so for all. Cells that the longest edge crosses have their own in the triangle; those beyond it are those of the
+    triangle's other half.
     """
     h = hash_u32(np.uint32(row) ^ hash_u32(np.uint32(q * side + p)))
     u = (p + ((h >> np.uint32(16)) + 0.5) / 65536.0) / side
     v = (q + ((h & np.uint32(0xFFFF)) + 0.5) / 65536.0) / side
-    return (1.0 - u, 1.0 - v) if u + v > 1.0 else (u, v)
+    if u + v <= 1.0:
+        return u, v
+    if p + q < side:
+        return (2.0 * p + 1.0) / side - u, (2.0 * q + 1.0) / side - v
+    return 1.0 - u, 1.0 - v
 
 
 def in_triangle(side: int) -> np.ndarray:

@@ -16,6 +16,7 @@ SEEN = 32  # ... and below, as a hole, whose colour is anybody's guess
 BESIDE = 2  # cells that an outline is wide
 FAR = 128  # cells: farther from what is seen no fragment lies
 SURE = 0.75  # of a cell's opacity: a place in it that is less opaque lies in a hole between the samples
+DITHERED = 64.0  # cells of a dither, so many shares of which can be drawn (numerics.dither)
 EDGE = 1e-12  # barycentric: what is so near an edge belongs to the triangles on both sides
 
 
@@ -188,11 +189,15 @@ def move_to_samples(cut_outs, fragments, rows, opacity):
 
 @uncounted
 def let_through(cut_outs, fragments, first, count, out):
-    """out (N,) float32: the share that coverage lets through at the places of fragments first..first + count."""
+    """out (N,) float32: the share that coverage lets through at the places of fragments first..first + count.
+
+    Opacity is drawn in steps of a cell of the dither. Who lies in a hole was drawn by a cell beside it.
+    """
     for k in range(count):
         f = first + k
         mask = cut_out_of(cut_outs, np.int64(fragments.part[f]), np.int64(fragments.triangle[f]))
         out[k] = 0.0
         if mask >= 0:
             u, v = np.float64(fragments.place[f, 0]), np.float64(fragments.place[f, 1])
-            out[k] = 1.0 - opacity_at(cut_outs, mask, u, v) / 255.0
+            drawn = math.ceil(opacity_at(cut_outs, mask, u, v) * (DITHERED / 255.0) - 0.5)
+            out[k] = 1.0 - (drawn if drawn > 0 else SEEN * (DITHERED / 255.0)) / DITHERED

@@ -19,16 +19,14 @@ from pointmr_engine.forward.baked.opacity_lattice import BATCH, batches, in_tria
 from pointmr_engine.forward.drawing.cut_out_cover import move_to_opaque, move_to_samples, with_holes
 from pointmr_engine.forward.drawing.draw import piece_to_tile
 from pointmr_engine.forward.drawing.near_clip import clip, corners_of_piece
+from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.forward.drawing.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import device
-from pointmr_engine.raytracing.surface import points_at
 
 SAMPLES = 8_000_000  # at most, over all triangles that differ
 FINEST = 128  # samples along a triangle's edge at most
 NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose holes have a colour of their own
-# cosines under which what depends on the view is looked at, besides along the normal
-VIEWS = (-1.0, 0.5, -0.5, 0.1, -0.1)
 FIRST = 24  # so many tell which triangles are the same all over: these share one row
 
 
@@ -71,11 +69,12 @@ def no_cut_outs(parts: int) -> CutOuts:
     return even_cut_outs(np.full(parts, -1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2, 2), np.uint8))
 
 
-def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts, list[Source]]:
+def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Source]]:
     """The cut-outs of all parts whose materials let light through: by their mean opacity, and by that of the channel
     that they block most, for methods whose rays pass what goes through the others (Image.choose_cut_outs); and what
     they are samples of.
     """
+    geometry, programs = opacity_of.geometry, opacity_of.programs
     first = np.full(len(geometry.parts), -1, np.int64)
     masks, sources = [], []
     total = known = 0
@@ -91,21 +90,24 @@ def build_cut_outs(geometry: Geometry, programs: list) -> tuple[CutOuts, CutOuts
             if programs[m].opaque:
                 continue
             rows = np.flatnonzero(material == m)
-            opacity_of = partial(_opacity, geometry, programs[m], part)
-            which, inverse = opacity_classes(geometry, part, programs[m].transparency_needs, rows, opacity_of)
-            which, shared = _without_even(rows, which, opacity_of)
+            own, needs = (
+                partial(opacity_of.opacity, m, part),
+                programs[m].transparency_needs | programs[m].shown_needs,
+            )
+            which, inverse = opacity_classes(geometry, part, needs, rows, own)
+            which, shared = _without_even(rows, which, own)
             mask[rows] = known + shared[inverse]
             known += len(which)
-            sources.append(Source(opacity_of, rows[which]))
+            sources.append(Source(own, rows[which]))
         first[part] = total
         masks.append(mask)
         total += n
     side = int(np.clip(math.sqrt(SAMPLES / max(known, 1)), 2, FINEST))
     opacity = np.empty((2, known, side, side), np.uint8)
     at = 0
-    for opacity_of, triangles in sources:
+    for own, triangles in sources:
         for chosen in batches(triangles, side):
-            opacity[:, at : at + len(chosen)] = sampled(opacity_of, chosen, at + np.arange(len(chosen)), side)
+            opacity[:, at : at + len(chosen)] = sampled(own, chosen, at + np.arange(len(chosen)), side)
             at += len(chosen)
     mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
     return even_cut_outs(first, mask, opacity[0]), even_cut_outs(first, mask, opacity[1]), sources
@@ -154,53 +156,8 @@ def part_materials(geometry: Geometry, part: int) -> np.ndarray:
     return material
 
 
-def _opacity(
-    geometry: Geometry, program, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
-) -> np.ndarray:
-    """(n, 2) opacity of points of a part's triangles, 0..1: mean, and of the channel that is blocked most.
-
-    The second is the most that is seen from anywhere: rays pass what goes through besides.
-    """
-    clear = np.clip(part_transparency(geometry, program, part, triangles, u, v), 0.0, 1.0)
-    r, g, b = clear.T  # of three, numpy takes ten times as long along an axis
-    least = np.minimum(np.minimum(r, g), b)
-    if program.unforeseen:
-        least[:] = 0.0
-    for view in VIEWS if program.turns and not program.unforeseen else ():
-        seen = part_transparency(geometry, program, part, triangles, u, v, view)
-        least = np.minimum(least, np.clip(seen, 0.0, 1.0).min(1))
-    return 1.0 - np.stack(((r + g + b) / 3.0, least), 1)
-
-
-def part_transparency(
-    geometry: Geometry, program, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray,
-    view: float = 1.0,
-) -> np.ndarray:  # fmt: skip
-    """(n, 3) share of light that passes points of parts' triangles (n,), in the part's own space.
-
-    view: cosine of the angle to the triangles' normals under which they are seen, negative: from behind.
-    """
-    n = len(triangles)
-    whole = (geometry.tables.first_triangle[part] + triangles).astype(np.int32)
-
-    def points(needs, viewer=None):
-        return points_at(
-            geometry, np.broadcast_to(np.int32(part), n), whole, u.astype(np.float32), v.astype(np.float32),
-            np.broadcast_to(np.eye(4)[:3], (n, 3, 4)), needs, viewer,
-        )  # fmt: skip
-
-    if view == 1.0:
-        return program.transparency(points(program.transparency_needs))
-    at = points(frozenset({"position", "geometric_normal"}))
-    normal = at.geometric_normal.astype(np.float64)
-    beside = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
-    beside /= np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-30)
-    away = view * normal + math.sqrt(1.0 - view * view) * beside
-    return program.transparency(points(program.transparency_needs, at.position + away))
-
-
 def look_where_opaque(
-    geometry: Geometry, programs: list, cut_outs: CutOuts, densest: bool, fragments, first: int, count: int
+    opacity_of: PartOpacity, cut_outs: CutOuts, densest: bool, fragments, first: int, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the places at which fragments first..first + count are shaded out of holes; which have some (n,) int64,
     counted from `first`, and the materials of these (n,) int32.
@@ -216,13 +173,13 @@ def look_where_opaque(
     rows = rows[: with_holes(cut_outs, fragments, first_, count_, rows)]
     part, triangle = fragments.part[rows], fragments.triangle[rows]
     material = np.empty(len(rows), np.int32)
-    materials_of(geometry.tables, part, triangle, material)
+    materials_of(opacity_of.geometry.tables, part, triangle, material)
     for m in np.unique(material):
-        program, own = programs[m], np.flatnonzero(material == m)
-        if program.opaque:
+        if opacity_of.programs[m].opaque:
             continue
+        own = np.flatnonzero(material == m)
         u, v = fragments.place[rows[own]].T
-        opacity = _opacity(geometry, program, part[own], triangle[own], u, v)[:, 1 if densest else 0]
+        opacity = opacity_of.opacity(m, part[own], triangle[own], u, v)[:, 1 if densest else 0]
         move_to_samples(cut_outs, fragments, rows[own], np.ascontiguousarray(opacity))
     return rows - first, material
 

@@ -297,11 +297,12 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
 
 
 @uncounted
-def finish(lobes, holdout, fragments, first, count, light, held):
+def finish(lobes, holdout, passed, fragments, first, count, light, held):
     """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are held out.
 
     light (F, 3): what arrived is there; the share that transparency leaves is taken out, since areas and cut-outs
-    account for it. held (F,) float32: share of a fragment that is held out. Albedo and emission go to the fragments.
+    account for it: passed (count,) float32 at most, what these let through. held (F,) float32: share of a fragment that
+    is held out. Albedo and emission go to the fragments.
     """
     some = False
     for k in range(count):
@@ -310,7 +311,7 @@ def finish(lobes, holdout, fragments, first, count, light, held):
         for c in range(3):
             light[f, c] += lobes.emission[k, c]
             t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
-        t = min(t, 0.999)
+        t = min(t, 0.999, np.float64(passed[k]))
         scale = 1.0 / (1.0 - t)
         held[f] = min(max(np.float64(lobes.holdout[k]), 0.0) * scale, 1.0)
         if holdout[k]:

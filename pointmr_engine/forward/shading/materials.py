@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.forward.drawing.cut_out_cover import let_through
 from pointmr_engine.forward.drawing.cut_outs import NARROW, look_where_opaque
 from pointmr_engine.forward.shading.fragment_surfaces import (
     NO_EYES,
@@ -44,7 +45,9 @@ class FullShading:
         self.instances = any(need.partition(":")[0] in NEEDS for need in needs) or _has_holdouts(
             sampler.geometry
         )
-        self.opaque = all(p.opaque for p in sampler.programs)
+        # of materials, and of none
+        adds = np.array([*(p.adds for p in sampler.programs), False], np.bool_)
+        self.adds = adds if adds.any() else None
 
     def shade(self, space, hierarchy, count: int) -> None:
         """Fill space.light[:count] with radiance towards the camera; fragments get their albedo, emission and normals.
@@ -69,9 +72,7 @@ class FullShading:
         first_, n_ = np.int64(first), np.int64(n)
         if len(hierarchy.cut_outs.mask):
             sampler = image.sampler
-            holed, _ = look_where_opaque(
-                sampler.geometry, sampler.programs, hierarchy.cut_outs, image.coloured, f, first, n
-            )
+            holed, _ = look_where_opaque(sampler.opacity, hierarchy.cut_outs, image.coloured, f, first, n)
         to_world = image.camera.world_from_camera
         place_fragments(
             image.view, image.pixel, to_world, hierarchy.octree, hierarchy.parts, space.scratch.transforms, f, first_,
@@ -111,7 +112,11 @@ class FullShading:
                 own.lobes, own.view.incoming, own.flat, self.shader.tables, world.diffuse, world.glossy,
                 world.transmission, n_, light,
             )  # fmt: skip
-        return finish(own.lobes, own.hits.holdout, f, first_, n_, space.light, own.held)
+        own.passed[:n] = 1.0
+        if self.adds is not None:
+            let_through(hierarchy.cut_outs, f, first_, n_, own.passed)
+            own.passed[:n][~self.adds[own.frames.material[:n]]] = 1.0
+        return finish(own.lobes, own.hits.holdout, own.passed, f, first_, n_, space.light, own.held)
 
 
 class _Space:
@@ -126,7 +131,7 @@ class _Space:
         self.alpha = np.empty((n, max(lobes, 1), 2), np.float32)
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.order, self.wanted = np.zeros(n, np.int64), np.ones(n, np.bool_)
-        self.held = np.empty(n, np.float32)
+        self.held, self.passed = np.empty(n, np.float32), np.ones(n, np.float32)
 
 
 def _has_holdouts(geometry) -> bool:

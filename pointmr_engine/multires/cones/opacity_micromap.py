@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
-from pointmr_engine.forward.drawing.cut_outs import lattices, part_materials, part_transparency
+from pointmr_engine.forward.drawing.cut_outs import lattices, part_materials
+from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
 
 FINEST = 64  # cells along an edge at most: bits of a word
@@ -28,18 +29,18 @@ _OWN = {"uv", "attribute", "local", "generated", "barycentric"}
 def with_micromap(acceleration: Acceleration, sampler) -> Acceleration:
     """The acceleration whose shadow rays ask only where the micromap does not know; itself where it knows nothing."""
     if sampler.micromap is None:
-        sampler.micromap = build_micromap(sampler.geometry, sampler.programs, sampler.densest_cut_outs)
+        sampler.micromap = build_micromap(sampler.opacity, sampler.densest_cut_outs)
     return set_micromap(acceleration, *sampler.micromap) if sampler.micromap[-1] else acceleration
 
 
-def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def build_micromap(opacity_of: PartOpacity, cut_outs) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """(first, row, bits, side) as acceleration.set_micromap takes them; side 0 where nothing is worth it.
 
     cut_outs: forward.drawing.cut_outs.CutOuts of the channel that is blocked most, whose triangles share samples.
     """
     nothing = cut_outs.first, np.zeros(0, np.int32), np.zeros((0, 2), np.int64), 0
     whole = (lattices(cut_outs) == 255).all((1, 2))
-    groups = _to_know(geometry, programs, cut_outs)
+    groups = _to_know(opacity_of.geometry, opacity_of.programs, cut_outs)
     patterned = np.unique(np.concatenate([row[~whole[row]] for *_, row in groups])) if groups else whole[:0]
     side = _side(len(patterned), FINEST)
     if not groups or side < COARSEST:
@@ -50,10 +51,10 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
     words_of = np.full(len(whole), -1)
     words_of[patterned] = np.arange(len(patterned))
     few = _side(sum(int(whole[row].sum()) for *_, row in groups), COARSEST)
-    for part, program, triangles, row in groups:
+    for part, material, triangles, row in groups:
         for own in batches(np.flatnonzero(~whole[row]), side):
-            share = _shares(geometry, part, program, triangles[own], row[own], side)
-            again = _shares(geometry, part, program, triangles[own], row[own] + ELSEWHERE, side)
+            share = _shares(opacity_of, part, material, triangles[own], row[own], side)
+            again = _shares(opacity_of, part, material, triangles[own], row[own] + ELSEWHERE, side)
             words[words_of[row[own]]] = np.stack(
                 [
                     _words(_known(share.min(3) >= CLEAR, again.min(3) >= CLEAR)),
@@ -62,7 +63,7 @@ def build_micromap(geometry, programs: list, cut_outs) -> tuple[np.ndarray, np.n
                 2,
             )
         for own in batches(np.flatnonzero(whole[row]), few) if few else ():
-            share = _shares(geometry, part, program, triangles[own], row[own], few)
+            share = _shares(opacity_of, part, material, triangles[own], row[own], few)
             words_of[row[own[(share <= SOLID).all((1, 2, 3))]]] = solid
     known = words_of >= 0
     known[known] = words.any((1, 2))[words_of[known]]
@@ -76,10 +77,12 @@ def _side(count: int, most: int) -> int:
     return int(min(math.sqrt(LOOKS / max(count, 1)), most))
 
 
-def _shares(geometry, part: int, program, triangles: np.ndarray, row: np.ndarray, side: int) -> np.ndarray:
+def _shares(
+    opacity_of: PartOpacity, part: int, material: int, triangles: np.ndarray, row: np.ndarray, side: int
+) -> np.ndarray:
     """(n, side, side, 3) share of light that passes triangles (n,) of a part at a place in each of their cells."""
     u, v = (a.ravel() for a in lattice(side, row))
-    share = part_transparency(geometry, program, part, np.repeat(triangles, side * side), u, v)
+    share = opacity_of.transparency(material, part, np.repeat(triangles, side * side), u, v)
     return share.reshape(len(row), side, side, 3)
 
 
@@ -112,7 +115,7 @@ def surely(alike: np.ndarray) -> np.ndarray:
 
 
 def _to_know(geometry, programs: list, cut_outs) -> list[tuple]:
-    """(part, program, its triangles (n,), rows (n,) of cut_outs) of those with holes or opaque places."""
+    """(part, material, its triangles (n,), rows (n,) of cut_outs) of those with holes or opaque places."""
     found = []
     opacity = lattices(cut_outs)
     worth = ((opacity == 0) | (opacity == 255)).any((1, 2))
@@ -130,5 +133,5 @@ def _to_know(geometry, programs: list, cut_outs) -> list[tuple]:
             own = own[worth[mask[own]]]
             row, leader = np.unique(mask[own], return_index=True)
             if len(row):
-                found.append((part, program, own[leader], row))
+                found.append((part, m, own[leader], row))
     return found

@@ -192,7 +192,7 @@ class FragmentPaths(Workspace):
         if len(hierarchy.cut_outs.mask):
             sampler = image.sampler
             holes, material = look_where_opaque(
-                sampler.geometry, sampler.programs, hierarchy.cut_outs, image.coloured, f, first, count
+                sampler.opacity, hierarchy.cut_outs, image.coloured, f, first, count
             )
             let_through(hierarchy.cut_outs, f, first_, n_, self.let_pass)
         to_world = image.camera.world_from_camera

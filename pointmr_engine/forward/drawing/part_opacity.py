@@ -1,0 +1,123 @@
+"""How opaque points of parts are, whoever looks at them and wherever their parts are placed.
+
+Coverage is decided by a part's triangles alone (cut_outs). Where transparency goes by the view, or by the placement, it
+has two answers: that of the view along the normal, on the mean of the placements, and the most that is seen from
+anywhere, for methods whose rays go on through what passes besides. What is added to what passes (a Transparent BSDF
+and an Emission in an Add Shader) is drawn at a small share of the subpixels, and is as much brighter there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.placements import Placements, placements
+from pointmr_engine.raytracing.surface import place_points, points_at
+from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.program import Program
+
+# cosines under which what depends on the view is looked at, besides along the normal
+VIEWS = (-1.0, 0.5, -0.5, 0.1, -0.1)
+MOST_PLACEMENTS = 8  # of a part, that are looked at
+# shares of subpixels that what is added to what passes covers: where rays go on, as much as it shines between these;
+# elsewhere the least, for it hides what it covers
+LEAST_ADDED, MOST_ADDED = 1 / 8, 1 / 4
+
+
+class PartOpacity:
+    """Opacity of the parts of a scene under its materials' programs."""
+
+    def __init__(self, geometry: Geometry, programs: list[Program]) -> None:
+        self.geometry, self.programs = geometry, programs
+        self._placements: dict[int, Placements] = {}
+
+    def opacity(
+        self, material: int, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> np.ndarray:
+        """(n, 2) opacity, 0..1, of points of parts' triangles (n,) by weights u, v (n,): mean over placements and
+        channels, and the most that is seen from anywhere, of the channel that is blocked most.
+
+        part: of all points, or (n,) of each.
+        """
+        program = self.programs[material]
+        if not program.placed or np.ndim(part) == 0:
+            return self._of_part(program, part, triangles, u, v)
+        result = np.empty((len(triangles), 2))
+        for p in np.unique(part):
+            rows = np.flatnonzero(part == p)
+            result[rows] = self._of_part(program, int(p), triangles[rows], u[rows], v[rows])
+        return result
+
+    def _of_part(self, program: Program, part, triangles, u, v) -> np.ndarray:
+        n = len(triangles)
+        needs = program.transparency_needs | program.shown_needs
+        mean, least, added, looks = np.zeros(n), np.ones(n), np.zeros(n, np.float32), 0
+        known = not program.unforeseen and (
+            not program.placed or len(self._placed(part).part) <= MOST_PLACEMENTS
+        )
+        for view in (1.0, *(VIEWS if program.faces else ())):
+            for points in self._seen(program, part, triangles, u, v, needs, view):
+                clear = np.clip(program.transparency(points), 0.0, 1.0)
+                r, g, b = clear.T  # of three, numpy takes ten times as long along an axis
+                least = np.minimum(least, np.minimum(np.minimum(r, g), b))
+                if view == 1.0:
+                    mean += (r + g + b) / 3.0
+                    looks += 1
+                if program.adds:
+                    shown = program.shown(points)
+                    added = np.maximum(added, np.where((clear + shown).max(1) > 1.001, shown.max(1), 0.0))
+        if not known:
+            least[:] = 0.0
+        found = 1.0 - np.stack((mean / max(looks, 1), least), 1)
+        if program.adds:
+            found[:, 0] = np.maximum(found[:, 0], LEAST_ADDED * (added > 0.0))
+            share = np.clip(added, LEAST_ADDED, MOST_ADDED) * (added > 0.0)
+            found[:, 1] = np.maximum(found[:, 1], share)
+        return found
+
+    def transparency(
+        self, material: int, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> np.ndarray:
+        """(n, 3) share of light that passes triangles (n,) of a part, seen along their normals, in its own space."""
+        program = self.programs[material]
+        return program.transparency(self._points(part, triangles, u, v, program.transparency_needs, 1.0))
+
+    def _placed(self, part: int) -> Placements:
+        """Of the part's placements the first MOST_PLACEMENTS, and one more."""
+        if part not in self._placements:
+            wanted = np.zeros(len(self.geometry.parts), np.bool_)
+            wanted[part] = True
+            self._placements[part] = placements(self.geometry, wanted, MOST_PLACEMENTS + 1)
+        return self._placements[part]
+
+    def _seen(self, program, part, triangles, u, v, needs, view: float) -> Iterator[SurfacePoints]:
+        """The points as they look where the part is placed; in its own space where that does not matter."""
+        placed = self._placed(part) if program.placed else None
+        if placed is None or not len(placed.part):
+            yield self._points(part, triangles, u, v, needs, view)
+            return
+        for k in range(min(len(placed.part), MOST_PLACEMENTS)):
+            points = self._points(part, triangles, u, v, needs, view, placed.world_from_part[k])
+            place_points(self.geometry, points, placed, k)
+            yield points
+
+    def _points(self, part, triangles, u, v, needs, view: float, world_from_part=None) -> SurfacePoints:
+        """view: cosine of the angle to the triangles' normals under which they are seen, negative: from behind."""
+        geometry, n = self.geometry, len(triangles)
+        whole = (geometry.tables.first_triangle[part] + triangles).astype(np.int32)
+        world = np.eye(4)[:3] if world_from_part is None else world_from_part
+        what = (
+            geometry, np.broadcast_to(np.int32(part), n), whole, u.astype(np.float32), v.astype(np.float32),
+            np.broadcast_to(world, (n, 3, 4)),
+        )  # fmt: skip
+        if view == 1.0:
+            return points_at(*what, needs)
+        at = points_at(*what, frozenset({"position", "geometric_normal"}))
+        normal = at.geometric_normal.astype(np.float64)
+        beside = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
+        beside /= np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-30)
+        away = view * normal + math.sqrt(1.0 - view * view) * beside
+        return points_at(*what, needs, at.position + away)
