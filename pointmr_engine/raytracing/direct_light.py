@@ -12,7 +12,7 @@ from pointmr_engine.numerics.hashing import hash_path
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
-from pointmr_engine.raytracing.light_sampling import NONE, WORLD, LightSamples
+from pointmr_engine.raytracing.light_sampling import NONE, LightSamples
 from pointmr_engine.raytracing.paths import FINAL, Limits, Paths, Samples, only_diffuse
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_rays
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
@@ -97,13 +97,12 @@ def connect(
     lights: LightSamples,
     rows,
     m,
-    even,
     out: ShadowRays,
 ):
     """Shadow rays for light samples 0..m of paths `rows`, those that could add anything; returns how many.
 
-    even: the world has one radiance. Rays to it stand for those that lobes send, which Cycles has instead: these start
-    on the triangle, above it where nothing is transmitted, and meet what diffuse rays do.
+    Rays that stand for those that lobes send (LightSamples.scattered) start on the triangle, above it where nothing is
+    transmitted, and meet what diffuse rays do.
     """
     n = np.int64(0)
     for i in range(m):
@@ -115,7 +114,7 @@ def connect(
             continue
         d = paths.rays.direction[k]
         wo = (lights.direction[i, 0], lights.direction[i, 1], lights.direction[i, 2])
-        scattered = even and lights.kind[i] == WORLD
+        scattered = lights.scattered[i]
         if (
             scattered
             and not lobes.flags[k] & HAS_TRANSMISSION

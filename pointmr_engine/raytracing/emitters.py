@@ -11,7 +11,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements, placements
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.numerics.warps import spherical_triangle, triangle_barycentrics, triangle_solid_angle
-from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.raytracing.surface import emitting_points
 from pointmr_engine.scene.graph import Graph, Link
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.scene.material import Material
@@ -126,7 +126,7 @@ def find_emitters(
     for part, found in local.items():
         chosen = np.flatnonzero(lit & within & (places.part == part))
         if len(chosen):
-            radiance = _mean_radiance(geometry, programs, part, found, places.world_from_part[chosen[0]])
+            radiance = _mean_radiance(geometry, programs, found, places, chosen)
             blocks.append(_placed(found, radiance, places, chosen))
     varying = np.array([p.constant_emission is None for p in programs], np.bool_)
     return *_pack(blocks, varying), places, warnings
@@ -209,43 +209,53 @@ def _outside(positions: np.ndarray, triangles: np.ndarray) -> float:
 
 
 def _mean_radiance(
-    geometry: Geometry, programs: list, part: int, found: _PartEmitters, world_from_part: np.ndarray
+    geometry: Geometry, programs: list, found: _PartEmitters, places: Placements, chosen: np.ndarray
 ) -> np.ndarray:
-    """(n, 3) radiance of a part's emissive triangles: constant, or probed at one placement."""
-    radiance = np.ones((len(found.triangle), 3))
+    """(1 or k, n, 3) radiance of a part's emissive triangles at its placements `chosen`: constant, or probed, at one
+    of them for all where it does not go by the placement. Where there are too many, each has the mean of a few.
+    """
+    radiance = np.ones((1, len(found.triangle), 3))
     for m in np.unique(found.material):
         rows = np.flatnonzero(found.material == m)
         constant = programs[m].constant_emission
         if constant is not None:
-            radiance[rows] = constant
-        elif len(rows) <= _MOST_PROBED:
-            radiance[rows] = _probed(geometry, programs[m], part, found.triangle[rows], world_from_part)
+            radiance[:, rows] = constant
+        elif len(rows) > _MOST_PROBED:
+            radiance[:, rows] = estimate_emission(geometry.materials[m].graph)
         else:
-            radiance[rows] = estimate_emission(geometry.materials[m].graph)
+            probed = chosen if programs[m].emission_placed else chosen[:1]
+            most = max(_MOST_PROBED // len(rows), 1)
+            some = probed[np.linspace(0, len(probed) - 1, min(most, len(probed))).astype(np.int64)]
+            own = _probed(geometry, m, programs[m], found.triangle[rows], places, some)
+            if len(some) < len(probed):
+                own = own.mean(0, keepdims=True)
+            if len(own) > len(radiance):
+                radiance = np.repeat(radiance, len(own), 0)
+            radiance[:, rows] = own
     return radiance
 
 
 def _probed(
-    geometry: Geometry, program, part: int, triangle: np.ndarray, world_from_part: np.ndarray
+    geometry: Geometry, material: int, program, triangle: np.ndarray, places: Placements, chosen: np.ndarray
 ) -> np.ndarray:
-    """(n, 3) mean emission of triangles over a few points; none so dark that it could never be chosen."""
-    n, k = len(triangle), len(_PROBES)
-    points = points_at(
-        geometry,
-        np.full(n * k, part, np.int32),
-        np.repeat(triangle, k),
-        np.tile(_PROBES[:, 0], n),
-        np.tile(_PROBES[:, 1], n),
-        np.broadcast_to(world_from_part, (n * k, 3, 4)),
-        program.emission_needs,
-    )
+    """(k, n, 3) mean emission of triangles (n,) at placements `chosen` over a few points; none so dark that it could
+    never be chosen."""
+    k, n, probes = len(chosen), len(triangle), len(_PROBES)
+    u, v = np.tile(_PROBES, (k * n, 1)).T
+    points = emitting_points(
+        geometry, places, np.repeat(chosen, n * probes), np.tile(np.repeat(triangle, probes), k), u, v,
+        program.emission_needs, scattered=not sampled_sides(geometry.materials[material], program),
+    )  # fmt: skip
     emission = np.nan_to_num(np.asarray(program.emission(points), np.float64), posinf=0.0)
-    mean = np.broadcast_to(emission, (n * k, 3)).reshape(n, k, 3).mean(1)
+    mean = np.broadcast_to(emission, (points.count, 3)).reshape(k, n, probes, 3).mean(2)
     return np.maximum(mean, max(0.01 * float(np.abs(mean).mean()), 1e-6))
 
 
 def _placed(found: _PartEmitters, radiance: np.ndarray, places: Placements, chosen: np.ndarray) -> tuple:
-    """One part's emitters at the placements `chosen`: the columns of `_pack`, placement by placement."""
+    """One part's emitters at the placements `chosen`: the columns of `_pack`, placement by placement.
+
+    radiance (1 or k, n, 3): of all placements, or of each.
+    """
     m = places.world_from_part[chosen]
     vertices = np.einsum("kij,nvj->knvi", m[:, :, :3], found.vertices) + m[:, None, None, :, 3]
     mirrored = np.linalg.det(m[:, :, :3]) < 0.0
@@ -256,7 +266,7 @@ def _placed(found: _PartEmitters, radiance: np.ndarray, places: Placements, chos
     return (
         vertices.reshape(-1, 3, 3),
         sides.astype(np.uint8).ravel(),
-        np.tile(radiance, (k, 1)),
+        np.broadcast_to(radiance, (k, n, 3)).reshape(-1, 3),
         np.tile(found.material, k),
         np.repeat(places.visibility[chosen], n),
         np.tile(found.triangle, k),

@@ -89,7 +89,6 @@ class Workspace:
             self.veils = allocate_veils(n, levels, noted)
             self.waiting = np.zeros(n, np.int64)
             self.triangle = np.zeros((4, 3)), np.zeros((4, 3))
-            self.even = stage.lights is not None and stage.lights.even_world
             self.raises = bool(stage.shader.geometry.tables.terminator_offset.any())
         if stage.needs.transparent_shadows and stage.needs.light_samples:
             self.veil_hits, self.veil_frames = allocate_hits(n), allocate_frames(n)
@@ -209,9 +208,8 @@ class Workspace:
 
     def connect(self, now, m: int, chosen: LightSamples) -> int:
         return direct_light.connect(
-            now, self.hits, self.frames, self.lobes, self.stage.limits, chosen, self.lit_rows, m,
-            self.even, self.shadows,
-        )  # fmt: skip
+            now, self.hits, self.frames, self.lobes, self.stage.limits, chosen, self.lit_rows, m, self.shadows
+        )
 
     def raise_origins(self, count: int) -> None:
         raise_origins(
@@ -394,7 +392,7 @@ class Workspace:
         source = self.shadows.source[ray]
         for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
             getattr(state, name)[:n] = getattr(now.state, name)[source]
-        # those to an even world stand for rays that surfaces scatter (direct_light.connect)
+        # those that stand for rays that surfaces scatter (direct_light.connect)
         scattered = rays.visibility == DIFFUSE
         state.kind[:n] = np.where(scattered, RAY_DIFFUSE | RAY_REFLECTION, RAY_SHADOW)
         state.depth[:n] += scattered

@@ -43,6 +43,8 @@ class LightSamples(NamedTuple):
     path: np.ndarray  # (N,) uint64, its instance path
     u: np.ndarray  # (N,) float32, barycentric weight of vertex 1
     v: np.ndarray  # (N,) float32, barycentric weight of vertex 2
+    # (N,) bool: Cycles does not sample this light: rays to it stand for those that lobes send
+    scattered: np.ndarray
 
 
 def allocate_light_samples(n: int) -> LightSamples:
@@ -62,6 +64,7 @@ def allocate_light_samples(n: int) -> LightSamples:
         np.zeros(n, np.uint64),
         np.zeros(n, np.float32),
         np.zeros(n, np.float32),
+        np.zeros(n, np.bool_),
     )
 
 

@@ -29,7 +29,7 @@ from pointmr_engine.raytracing.light_sampling import (
     power_heuristic,
 )
 from pointmr_engine.raytracing.light_tree_build import build_light_tree
-from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.raytracing.surface import emitting_points
 from pointmr_engine.scene.light import Light
 from pointmr_engine.scene.scene import Scene
 
@@ -71,6 +71,7 @@ class Lights:
         placements: Placements | None,
         programs: list,
         materials: np.ndarray,
+        scattered: np.ndarray,
         lamps: list[Light],
         nodes: dict[int, LampNodes],
         only_met: bool,
@@ -88,6 +89,7 @@ class Lights:
         self._placements = placements
         self._programs = programs
         self._materials = materials  # (E,) int32: material of each emitter
+        self._scattered = scattered  # (materials,) bool: Cycles does not sample what has it
 
     @cached_property
     def apart(self) -> Lights:
@@ -139,7 +141,8 @@ class Lights:
         return self._with(a._replace(tree=tree), turns)
 
     def _with(self, arrays: LightArrays, turns: list) -> Lights:
-        parts = (self.environment, self._geometry, self._placements, self._programs, self._materials)
+        parts = (self.environment, self._geometry, self._placements, self._programs)
+        parts += (self._materials, self._scattered)
         result = Lights(arrays, *parts, self.lamps, self.nodes, self.only_met, self.warnings)
         result.turns, result.empty = turns, result.empty if arrays is self.arrays else not turns
         return result
@@ -173,6 +176,11 @@ class Lights:
             kernels.sample_emitters(a.emitters, position, u, out)
         if a.tree.leaf_of_world != -1 and kind in (None, WORLD):
             kernels.sample_worlds(a.world, a.world_visibility, normal, transmissive, u, out)
+        n = len(position)
+        out.scattered[:n] = (out.kind[:n] == WORLD) & self.even_world
+        if self._scattered.any() and kind is None:
+            rows = np.flatnonzero(out.kind[:n] == TRIANGLE)
+            out.scattered[rows] = self._scattered[self._materials[out.index[rows]]]
 
     def emission_at(self, samples: LightSamples, position: np.ndarray) -> None:
         """Fill in `radiance` of the samples whose emission varies; clears `pending`.
@@ -196,15 +204,17 @@ class Lights:
         for m in np.unique(material):
             chosen = rows[material == m]
             place = self.arrays.emitters.placement[samples.index[chosen]]
-            points = points_at(
+            scattered = samples.scattered[chosen]
+            points = emitting_points(
                 self._geometry,
-                self._placements.part[place],
+                self._placements,
+                place,
                 samples.triangle[chosen],
                 samples.u[chosen],
                 samples.v[chosen],
-                self._placements.world_from_part[place],
                 self._programs[m].emission_needs,
                 position[chosen],
+                scattered,
             )
             emission = self._programs[m].emission(points)
             samples.radiance[chosen] = np.nan_to_num(emission, posinf=0.0, neginf=0.0)
@@ -329,11 +339,9 @@ def build_lights(
         len(suns),
         np.concatenate([suns, local]).astype(np.int32),
     )
-    dark = [
-        m is not None and p.emissive and not sampled_sides(m, p, every)
-        for m, p in zip(geometry.materials, programs, strict=True)
-    ]
-    only_met = any(dark) or bool(more) or environment.unsampled
-    return Lights(
-        arrays, environment, geometry, places, programs, material, sources, nodes, only_met, warnings
-    )
+    pairs = list(zip(geometry.materials, programs, strict=True))
+    dark = any(m is not None and p.emissive and not sampled_sides(m, p, every) for m, p in pairs)
+    scattered = np.array([not sampled_sides(m, p) for m, p in pairs], np.bool_)
+    only_met = dark or bool(more) or environment.unsampled
+    own = geometry, places, programs, material, scattered
+    return Lights(arrays, environment, *own, sources, nodes, only_met, warnings)

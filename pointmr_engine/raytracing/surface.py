@@ -25,7 +25,7 @@ from pointmr_engine.raytracing.frames import (
 from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.scene.mesh import GENERATED
 from pointmr_engine.shading.footprint_mean import GRAZING
-from pointmr_engine.shading.points import SurfacePoints
+from pointmr_engine.shading.points import RAY_DIFFUSE, RAY_REFLECTION, SurfacePoints
 from pointmr_engine.shading.values import cross
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "RayState",
     "allocate_frames",
     "allocate_ray_state",
+    "emitting_points",
     "frames",
     "gather",
     "place_points",
@@ -192,18 +193,32 @@ def points_at(
     return points
 
 
-def place_points(geometry: Geometry, points: SurfacePoints, placed: Placements, k: int) -> None:
-    """Fill what the instances of placement k say, where the points have it."""
-    n = points.count
+def place_points(geometry: Geometry, points: SurfacePoints, placed: Placements, rows: np.ndarray) -> None:
+    """Fill what the instances of the points' placements, rows (n,) of `placed`, say, where the points have it."""
     if points.object_index is not None:
-        points.object_index = np.full(n, placed.object_index[k], np.int32)
+        points.object_index = placed.object_index[rows]
     if points.object_color is not None:
-        points.object_color = np.repeat(placed.color[k : k + 1], n, 0)
+        points.object_color = placed.color[rows]
     if points.object_random is not None:
-        points.object_random = np.full(n, placed.seed[k] * (1 / 2**32), np.float32)
+        points.object_random = (placed.seed[rows] * (1 / 2**32)).astype(np.float32)
     for name in points.instance_attributes:
-        found = _instance_attribute(geometry, placed.instance[k : k + 1], name)
-        points.instance_attributes[name] = np.repeat(found, n, 0)
+        points.instance_attributes[name] = _instance_attribute(geometry, placed.instance[rows], name)
+
+
+def emitting_points(
+    geometry: Geometry, placed: Placements, rows: np.ndarray, triangle: np.ndarray, u, v,
+    needs: frozenset[str], viewer: np.ndarray | None = None, scattered: np.ndarray | bool = False,
+) -> SurfacePoints:  # fmt: skip
+    """`points_at` of placements, rows (n,) of `placed`, as lights: sampled by no ray of any kind, or met by one that a
+    diffuse surface has `scattered` (n,).
+    """
+    points = points_at(
+        geometry, placed.part[rows], triangle, u, v, placed.world_from_part[rows], needs, viewer
+    )
+    place_points(geometry, points, placed, rows)
+    if points.ray_kind is not None:
+        points.ray_kind[:] = np.where(scattered, RAY_DIFFUSE | RAY_REFLECTION, 0)
+    return points
 
 
 def _fill_surface(

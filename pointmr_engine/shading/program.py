@@ -189,7 +189,8 @@ class Program:
     opaque: light never passes straight through; turns: how much of it does depends on where it is seen from (`faces`),
     on the ray's way there (`unforeseen`), or on where the part is placed (`placed`), or more may be sent besides than
     what does not pass (`adds`).
-    emissive: it can emit; constant_emission: rgb, (0, 0, 0) if it never emits, None where emission varies.
+    emissive: it can emit; emission_placed: what does depends on where the part is placed; constant_emission: rgb,
+    (0, 0, 0) if it never emits, None where emission varies.
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
     """
 
@@ -229,11 +230,12 @@ class Program:
         self.transparency_needs: frozenset[str] = self._transparency_plan.needs
         self.shown_needs: frozenset[str] = self._shown_plan.needs
         self.emission_needs: frozenset[str] = self._emission_plan.needs
+        self.emission_placed: bool = bool(_names(self.emission_needs) & OF_PLACEMENT)
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
         self.surface_only: bool = self.varying_with <= {"surface"}
         self.opaque: bool = not transparency
         self.unforeseen: bool = bool(self.transparency_needs & UNFORESEEN)
-        read = {need.partition(":")[0] for need in self.transparency_needs | self.shown_needs}
+        read = _names(self.transparency_needs | self.shown_needs)
         self.adds: bool = bool(self._shown)
         self.placed: bool = bool(read & (OF_PLACEMENT if "incoming" in read else OF_PLACEMENT | OF_ROTATION))
         self.faces: bool = bool(read & {"backfacing", "incoming"})
@@ -390,6 +392,10 @@ def evaluate_background(
     )
     add_missing_layers(points, program._emission_plan.needs)
     return program.emission(points)
+
+
+def _names(needs: frozenset[str]) -> frozenset[str]:
+    return frozenset(need.partition(":")[0] for need in needs)
 
 
 def _masked(steps) -> bool:

@@ -101,7 +101,7 @@ class PartOpacity:
             return
         for k in range(min(len(placed.part), MOST_PLACEMENTS)):
             points = self._points(part, triangles, u, v, needs, view, placed.world_from_part[k])
-            place_points(self.geometry, points, placed, k)
+            place_points(self.geometry, points, placed, np.full(len(triangles), k))
             yield points
 
     def _points(self, part, triangles, u, v, needs, view: float, world_from_part=None) -> SurfacePoints:
