@@ -103,3 +103,4 @@ RAY_GLOSSY = 8
 RAY_SINGULAR = 16
 RAY_REFLECTION = 32
 RAY_TRANSMISSION = 64
+RAY_MIRRORED = 128  # to materials as RAY_SINGULAR, but within a lobe, as wide as a mirror's normals differ

@@ -34,16 +34,18 @@ from pointmr_engine.shading.bsdf.layout import (
     HAS_TRANSMISSION,
     IOR,
     KIND_MASK,
+    MIRROR,
     NORMAL,
     REFRACTION,
     SAMPLE,
     SHEEN,
+    SINGULAR_LOBE,
     TRANSLUCENT,
     WEIGHT,
 )
 from pointmr_engine.shading.bsdf.setup import passed_on
 from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
-from pointmr_engine.shading.bsdf.widening import is_glossy, set_roughness
+from pointmr_engine.shading.bsdf.widening import is_glossy, note_mirror, set_roughness
 from pointmr_engine.shading.lobes import evaluate
 
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
@@ -57,6 +59,17 @@ def _widen(lobes, i, alpha, extra):
             set_roughness(lobes, i, j, np.float64(alpha[i, j, 0]), np.float64(alpha[i, j, 1]), extra)
 
 
+@device
+def _hide_mirrors(lobes, i):
+    """Leave mirrors, however wide, out of what is evaluated, until they are widened again; whether there are any."""
+    some = False
+    for j in range(np.int64(lobes.count[i])):
+        if lobes.kind[i, j] & MIRROR:
+            lobes.kind[i, j] = lobes.kind[i, j] | SINGULAR_LOBE
+            some = True
+    return some
+
+
 @uncounted
 def widen_by_normals(lobes, spread, alpha, count):
     """Widen the microfacet lobes of points 0..count by the variance of their pieces' slopes; alpha keeps the result.
@@ -67,6 +80,8 @@ def widen_by_normals(lobes, spread, alpha, count):
         for j in range(np.int64(lobes.count[i])):
             alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
             alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]
+            if is_glossy(lobes.kind[i, j]):
+                note_mirror(lobes, i, j)
         if spread[i] > 0.0:
             _widen(lobes, i, alpha, 2.0 * np.float64(spread[i]))
             for j in range(np.int64(lobes.count[i])):
@@ -165,9 +180,11 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                 if bits != 0:
                     hide_lobes(lobes, np.int64(k), alpha, bits)
                 widened = True
-            elif widened:
-                _widen(lobes, np.int64(k), alpha, 0.0)
-                widened = False
+            else:
+                if widened:
+                    _widen(lobes, np.int64(k), alpha, 0.0)
+                # a lamp that is a point is in no mirror
+                widened = _hide_mirrors(lobes, np.int64(k))
             for p in range(points):
                 if points > 1:
                     u = 0.5 + apart_u * ((p % across + 0.5) / across - 0.5)

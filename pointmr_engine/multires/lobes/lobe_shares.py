@@ -16,6 +16,7 @@ from pointmr_engine.shading.bsdf.layout import (
     GLASS,
     HAS_EVALUATION,
     KIND_MASK,
+    MIRROR,
     NORMAL,
     REFLECTION,
     REFRACTION,
@@ -38,8 +39,8 @@ def mean_roughness(lobes, k, j):
 
 @device
 def _is_shared(samples, i, glints):
-    """Whether lobes look for what light sample i found."""
-    return samples.kind[i] == TRIANGLE or (glints and samples.kind[i] == LAMP)
+    """Whether lobes look for what light sample i found, or some do not know of it: mirrors of lamps that are points."""
+    return samples.kind[i] == TRIANGLE or (samples.kind[i] == LAMP and (glints or not samples.mis[i]))
 
 
 @uncounted
@@ -65,7 +66,7 @@ def share_with_lobes(
                 lamp = samples.kind[i] == LAMP
                 normal = load3(lobes.data, k, j, NORMAL)
                 if lamp and not mis_of_lamp[samples.index[i]]:
-                    share = 1.0
+                    share = 0.0 if lobes.kind[k, j] & MIRROR else 1.0
                 elif base == REFRACTION or base == GLASS and dot(normal, w) <= 0.0:
                     share = 1.0 if lamp and not behind else 0.0
                     if behind and pdf[i] > 0.0:

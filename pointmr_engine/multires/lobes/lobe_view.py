@@ -25,6 +25,7 @@ from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = -1.0, -2.0, -3.0
 _NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
 BY_LOBE = 0.0  # Paths.bsdf_pdf until the direction within the lobe is chosen
+NARROWEST = 1e-30  # what is found of a lobe at the middles of its cells, below which these tell nothing of it
 FINE = 4  # places per side at which the lobe is taken in cells that its core covers in part
 
 
@@ -245,10 +246,23 @@ def weigh_sub_rays(lobes: LobeCones, count):
         total = _weigh(lobes, np.int64(m)) + (total if first < m else 0.0)
         if lobes.part[m] == 1:
             continue
-        scale = np.float32(1.0 / total) if total > 0.0 else np.float32(0)
+        if not total > NARROWEST:
+            _look_ahead(lobes, np.int64(first), np.int64(m))
+            continue
+        scale = np.float32(1.0 / total)
         for k in range(first, m + 1):
             for b in range(64):
                 lobes.weights[k, b] *= scale
+
+
+@device
+def _look_ahead(lobes: LobeCones, first, last):
+    """Weights of the cones of a lobe far narrower than their cells: of the four in the middle of the first."""
+    for k in range(first, last + 1):
+        for b in range(64):
+            lobes.weights[k, b] = 0.0
+    for b in (27, 28, 35, 36):
+        lobes.weights[first, b] = 0.25
 
 
 @device

@@ -43,6 +43,7 @@ from pointmr_engine.shading.bsdf.layout import (
     BECKMANN,
     HAS_EVALUATION,
     KIND_MASK,
+    MIRROR,
     NORMAL,
     REFLECTION,
     SINGULAR_ALPHA_SQUARED,
@@ -54,6 +55,7 @@ from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, ro
 from pointmr_engine.shading.points import (
     RAY_DIFFUSE,
     RAY_GLOSSY,
+    RAY_MIRRORED,
     RAY_REFLECTION,
     RAY_SINGULAR,
     RAY_TRANSMISSION,
@@ -255,11 +257,12 @@ def _reflect(
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+    said = singular if singular else np.int64(RAY_MIRRORED) if kind & MIRROR else np.int64(0)
     if ray:
         wo, weight, density, side = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
-            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, RAY_REFLECTION | RAY_GLOSSY,
-                     np.int64(1), np.int64(0), record, rough)  # fmt: skip
+            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
+                     RAY_REFLECTION | RAY_GLOSSY | said, np.int64(1), np.int64(0), record, rough)  # fmt: skip
             if glints:
                 out.flags[m] |= SEES_LAMPS
             out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
@@ -279,7 +282,7 @@ def _reflect(
     if singular != 0 and bent and kind & KIND_MASK == REFLECTION:
         flags = np.int64(NO_LAMPS)
     return _open_cones(
-        paths, k, hits, frames, lobes, limits, w, d, nm, abs(cosine), RAY_REFLECTION | RAY_GLOSSY | singular,
+        paths, k, hits, frames, lobes, limits, w, d, nm, abs(cosine), RAY_REFLECTION | RAY_GLOSSY | said,
         np.int64(0), flags, pdf, 0.0 if singular else rough, kind, small, alone, nm, wi, out, m, record, own,
         shape, 0.0,
     )  # fmt: skip
@@ -356,6 +359,7 @@ def _refract(
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
+    said = singular if singular else np.int64(RAY_MIRRORED) if kind & MIRROR else np.int64(0)
     inverse = inverse_ior(lobes, k, j)
     d, bend, refracts = refraction(nm, wi, inverse, rough)
     seen = np.int64(SEES_LAMPS) if glints else np.int64(0)
@@ -363,7 +367,7 @@ def _refract(
         wo, weight, _, _ = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
             send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
-                     RAY_TRANSMISSION | RAY_GLOSSY, np.int64(0), np.int64(1), record, bend)  # fmt: skip
+                     RAY_TRANSMISSION | RAY_GLOSSY | said, np.int64(0), np.int64(1), record, bend)  # fmt: skip
             out.flags[m] |= seen
             if sampled:
                 out.bsdf_pdf[m] = refracted_pdf(bend * bend, d, wo)
@@ -375,7 +379,7 @@ def _refract(
     sharp = singular != 0 or bend * bend <= SINGULAR_ALPHA_SQUARED
     pdf = BY_LOBE if sampled and not sharp else math.inf
     return _open_cones(
-        paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | singular, np.int64(1),
+        paths, k, hits, frames, lobes, limits, w, d, nm, 1.0, RAY_TRANSMISSION | RAY_GLOSSY | said, np.int64(1),
         seen, pdf, 0.0 if sharp else bend, kind, small, alone, (0.0, 0.0, 0.0), wi, out, m, record, own, shape,
         inverse,
     )  # fmt: skip

@@ -167,7 +167,7 @@ class ConePaths(WideLamps):
 
     def connect(self, now, m: int, chosen) -> int:
         glints, kind = self.glints, chosen.kind
-        shared = glints or bool((kind == TRIANGLE).any())
+        shared = glints or bool((kind == TRIANGLE).any()) or self.light.points
         if shared:
             pdf = self._own_pdf(m, chosen)
             share_with_lobes(

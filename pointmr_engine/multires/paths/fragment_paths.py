@@ -307,7 +307,10 @@ class FragmentPaths(Workspace):
     def receive(self, first: int, base: int, count: int) -> None:
         """Give the fragments first..first + count what the samples from `base` on have found."""
         space, held = self.space, self.every.transparency[base : base + count]
-        space.light[first : first + count] = self.every.radiance[base : base + count]
+        light = self.every.radiance[base : base + count]
+        if not np.isfinite(light.sum()):  # one would spoil all pixels about it
+            np.nan_to_num(light, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        space.light[first : first + count] = light
         if held.any():
             if space.held is None:
                 space.held = np.zeros(len(space.light), np.float32)

@@ -13,6 +13,7 @@ from pointmr_engine.shading.bsdf.layout import (
     BECKMANN,
     HAS_EVALUATION,
     KIND_MASK,
+    MIRROR,
     SINGULAR_ALPHA_SQUARED,
     SINGULAR_LOBE,
     TRANSLUCENT,
@@ -25,6 +26,13 @@ FLATTEST = 1e-5  # squared roughness that is not worth telling from none, nor fr
 def is_glossy(kind):
     """Whether a lobe of this kind has a roughness."""
     return kind & KIND_MASK > TRANSLUCENT
+
+
+@device
+def note_mirror(lobes, i, j):
+    """Remember of lobe j of point i, before it is widened, whether it is singular by its material."""
+    if lobes.kind[i, j] & SINGULAR_LOBE:
+        lobes.kind[i, j] = lobes.kind[i, j] | MIRROR
 
 
 @device
@@ -52,6 +60,7 @@ def widen_lobes(lobes, rows, variance):
         i = rows[k]
         for j in range(np.int64(lobes.count[i])):
             if is_glossy(lobes.kind[i, j]):
+                note_mirror(lobes, i, j)
                 lobes.flags[i] |= HAS_EVALUATION  # a mirror no longer, which light samples are worth
                 if extra > np.float64(lobes.data[i, j, ALPHA_X]) * np.float64(lobes.data[i, j, ALPHA_Y]):
                     lobes.kind[i, j] = lobes.kind[i, j] | BECKMANN

@@ -252,7 +252,7 @@ _RAY_BITS = {
     "is_shadow_ray": P.RAY_SHADOW,
     "is_diffuse_ray": P.RAY_DIFFUSE,
     "is_glossy_ray": P.RAY_GLOSSY,
-    "is_singular_ray": P.RAY_SINGULAR,
+    "is_singular_ray": P.RAY_SINGULAR | P.RAY_MIRRORED,
     "is_reflection_ray": P.RAY_REFLECTION,
     "is_transmission_ray": P.RAY_TRANSMISSION,
 }
