@@ -47,7 +47,7 @@ def flatten(graph: Graph, kind: str, filtered: bool = True) -> Flat:
         transparency += passing
         emission += emitted
         shown += own
-    adds = bool(emission) or any(node.kind == "add_shader" for node in graph.nodes.values())
+    adds = any(node.kind == "add_shader" for node in graph.nodes.values())
     return Flat(builder.steps, plans, transparency, emission, shown if adds else [], builder.warnings)
 
 

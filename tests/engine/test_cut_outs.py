@@ -18,6 +18,7 @@ from pointmr_engine import (
 )
 from pointmr_engine.forward.drawing.cut_out_cover import nearest_as_opaque
 from pointmr_engine.forward.drawing.cut_outs import FINEST, build_cut_outs, lattices
+from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.mesh import Attribute
@@ -74,7 +75,8 @@ def leaves(count: int, material: Material, sizes=(1.0,)) -> Mesh:
 def cut_outs(mesh: Mesh):
     scene = Scene(Group("root", [mesh]), from_above(9.0), [], BLACK)
     geometry = compile_geometry(scene)
-    return build_cut_outs(geometry, [compile_graph(m.graph) for m in geometry.materials])[:2]
+    programs = [compile_graph(m.graph) for m in geometry.materials]
+    return build_cut_outs(PartOpacity(geometry, programs))[:2]
 
 
 def test_leaves_of_other_colours_share_their_shape():

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from pointmr_engine import Group, Light, Material, RenderSettings, Scene, principled, render, uniform_world
 from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
+from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.acceleration import build_acceleration, set_micromap, set_opaque
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.multires.cones import opacity_micromap
@@ -46,7 +47,8 @@ def parts(mesh):
     """(geometry, programs, micromap) of a mesh."""
     geometry = compile_geometry(Scene(Group("root", [mesh]), from_above(), [], BLACK))
     programs = [compile_graph(m.graph) for m in geometry.materials]
-    return geometry, programs, build_micromap(geometry, programs, build_cut_outs(geometry, programs)[1])
+    opacity = PartOpacity(geometry, programs)
+    return geometry, programs, build_micromap(opacity, build_cut_outs(opacity)[1])
 
 
 @given(st.integers(2, 12), st.integers(0, 2**32 - 1))

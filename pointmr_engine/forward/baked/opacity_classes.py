@@ -33,7 +33,7 @@ def opacity_classes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(places in `triangles` of those to be sampled, for each triangle its one of these).
 
-    triangles (n,) int64 of a part under one material, which reads `needs`; opacity(triangles, u, v): (n, 2), 0..1, at
+    triangles (n,) int64 of a part under one material, which reads `needs`; opacity(triangles, u, v): (n, c), 0..1, at
     one point of each.
     """
     alone = np.arange(len(triangles))
@@ -73,7 +73,7 @@ def _led(triangles: np.ndarray, classes: np.ndarray, opacity: Opacity) -> tuple[
     n = len(triangles)
     rng = np.random.default_rng(n)
     u, v = _into_triangle(*rng.random((2, n, LOOKS)))
-    own = opacity(np.repeat(triangles, LOOKS), u.ravel(), v.ravel()).reshape(n, LOOKS, 2)
+    own = opacity(np.repeat(triangles, LOOKS), u.ravel(), v.ravel()).reshape(n, LOOKS, -1)
     i, j = (np.minimum((a * SIDE).astype(np.int64), SIDE - 1) for a in (u, v))
     leader, todo = np.arange(n), np.arange(n)
     for _ in range(LEADERS):
@@ -92,10 +92,10 @@ def _led(triangles: np.ndarray, classes: np.ndarray, opacity: Opacity) -> tuple[
 
 
 def _ranges(triangles: np.ndarray, opacity: Opacity) -> tuple[np.ndarray, np.ndarray]:
-    """(k, SIDE, SIDE, 2) least and most of the opacity of triangles in each cell of a lattice and those around it."""
+    """(k, SIDE, SIDE, c) least and most of the opacity of triangles in each cell of a lattice and those around it."""
     k = len(triangles)
     u, v = lattice(SIDE, np.arange(k))
-    cells = opacity(np.repeat(triangles, SIDE * SIDE), u.ravel(), v.ravel()).reshape(k, SIDE, SIDE, 2)
+    cells = opacity(np.repeat(triangles, SIDE * SIDE), u.ravel(), v.ravel()).reshape(k, SIDE, SIDE, -1)
     # cells beyond the longest edge lie in the other half, far away: they take their neighbours' values
     cells[:, ~in_triangle(SIDE)] = np.nan
     padded = np.pad(cells, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=np.nan)

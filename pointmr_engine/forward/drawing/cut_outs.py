@@ -12,11 +12,18 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.baked.opacity_classes import Opacity, opacity_classes
 from pointmr_engine.forward.baked.opacity_lattice import BATCH, batches, in_triangle, lattice
-from pointmr_engine.forward.drawing.cut_out_cover import move_to_opaque, move_to_samples, with_holes
+from pointmr_engine.forward.drawing.cut_out_cover import (
+    BESIDE,
+    OPAQUE,
+    move_to_opaque,
+    move_to_samples,
+    with_holes,
+)
 from pointmr_engine.forward.drawing.draw import piece_to_tile
 from pointmr_engine.forward.drawing.near_clip import clip, corners_of_piece
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
@@ -90,10 +97,8 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
             if programs[m].opaque:
                 continue
             rows = np.flatnonzero(material == m)
-            own, needs = (
-                partial(opacity_of.opacity, m, part),
-                programs[m].transparency_needs | programs[m].shown_needs,
-            )
+            own = partial(opacity_of.opacity, m, part)
+            needs = programs[m].transparency_needs | programs[m].shown_needs
             which, inverse = opacity_classes(geometry, part, needs, rows, own)
             which, shared = _without_even(rows, which, own)
             mask[rows] = known + shared[inverse]
@@ -116,7 +121,8 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
 def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: int) -> np.ndarray:
     """(2, n, side, side) uint8: the opacity of triangles (n,), at the places of the rows (n,) of CutOuts.
 
-    Cells that lie beyond the longest edge, which nobody asks for, have what they are turned into.
+    Cells that lie beyond the longest edge, which nobody asks for, have what they are turned into. Beside opaque cells,
+    which shine for the holes between them, too, what is added to holes is left out.
     """
     n = len(triangles)
     u, v = lattice(side, rows)
@@ -124,10 +130,19 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
     u, v, which = u[:, own].ravel(), v[:, own].ravel(), np.repeat(triangles, own.sum())
     parts = [slice(k, k + BATCH) for k in range(0, len(which), BATCH)]
     found = np.concatenate([opacity_of(which[a], u[a], v[a]) for a in parts])
-    result = np.empty((2, n, side, side), np.uint8)
-    result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(2, n, -1)
+    result = np.zeros((found.shape[1], n, side, side), np.uint8)
+    result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(len(result), n, -1)
+    if len(result) > 2:
+        result = np.where(_beside(result[:2] >= OPAQUE), result[:2], result[2:])
     result[:, :, ~own] = result[:, :, ::-1, ::-1][:, :, ~own]
     return result
+
+
+def _beside(chosen: np.ndarray) -> np.ndarray:
+    """Which of cells (..., R, R) are chosen (bool), or less than BESIDE cells away from those."""
+    width = 2 * BESIDE + 1
+    padded = np.pad(chosen, ((0, 0), (0, 0), (BESIDE, BESIDE), (BESIDE, BESIDE)))
+    return sliding_window_view(padded, (width, width), axis=(-2, -1)).any((-2, -1))
 
 
 def _without_even(

@@ -38,14 +38,15 @@ class PartOpacity:
         self, material: int, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
         """(n, 2) opacity, 0..1, of points of parts' triangles (n,) by weights u, v (n,): mean over placements and
-        channels, and the most that is seen from anywhere, of the channel that is blocked most.
+        channels, and the most that is seen from anywhere, of the channel that is blocked most. (n, 4), if the program
+        adds: the same, and both with what is added.
 
         part: of all points, or (n,) of each.
         """
         program = self.programs[material]
         if not program.placed or np.ndim(part) == 0:
             return self._of_part(program, part, triangles, u, v)
-        result = np.empty((len(triangles), 2))
+        result = np.empty((len(triangles), 4 if program.adds else 2))
         for p in np.unique(part):
             rows = np.flatnonzero(part == p)
             result[rows] = self._of_part(program, int(p), triangles[rows], u[rows], v[rows])
@@ -72,11 +73,11 @@ class PartOpacity:
         if not known:
             least[:] = 0.0
         found = 1.0 - np.stack((mean / max(looks, 1), least), 1)
-        if program.adds:
-            found[:, 0] = np.maximum(found[:, 0], LEAST_ADDED * (added > 0.0))
-            share = np.clip(added, LEAST_ADDED, MOST_ADDED) * (added > 0.0)
-            found[:, 1] = np.maximum(found[:, 1], share)
-        return found
+        if not program.adds:
+            return found
+        least = LEAST_ADDED * (added > 0.0)
+        share = np.clip(added, LEAST_ADDED, MOST_ADDED) * (added > 0.0)
+        return np.concatenate([found, np.maximum(found, np.stack((least, share), 1))], 1)
 
     def transparency(
         self, material: int, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray

@@ -48,6 +48,7 @@ from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
 from pointmr_engine.shading.bsdf.widening import is_glossy, note_mirror, set_roughness
 from pointmr_engine.shading.lobes import evaluate
 
+ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, has had its transparency added
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
 
 
@@ -313,13 +314,24 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
             out[k, 2] += b
 
 
+@device
+def _sent(lobes, k):
+    """What point k emits and its lobes send at most, in the strongest channel."""
+    r, g, b = row3(lobes.emission, k)
+    for j in range(np.int64(lobes.count[k])):
+        w = load3(lobes.data, k, j, WEIGHT)
+        r, g, b = r + w[0], g + w[1], b + w[2]
+    return max(r, g, b)
+
+
 @uncounted
 def finish(lobes, holdout, passed, fragments, first, count, light, held):
     """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are held out.
 
     light (F, 3): what arrived is there; the share that transparency leaves is taken out, since areas and cut-outs
-    account for it: passed (count,) float32 at most, what these let through. held (F,) float32: share of a fragment that
-    is held out. Albedo and emission go to the fragments.
+    account for it: where more is sent than it leaves (Program.adds), passed (count,) float32 at most, what these let
+    through; 1 elsewhere. held (F,) float32: share of a fragment that is held out. Albedo and emission go to the
+    fragments.
     """
     some = False
     for k in range(count):
@@ -328,7 +340,9 @@ def finish(lobes, holdout, passed, fragments, first, count, light, held):
         for c in range(3):
             light[f, c] += lobes.emission[k, c]
             t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
-        t = min(t, 0.999, np.float64(passed[k]))
+        t = min(t, 0.999)
+        if passed[k] < 1.0 and _sent(lobes, np.int64(k)) > ADDED * (1.0 - t):
+            t = min(t, np.float64(passed[k]))
         scale = 1.0 / (1.0 - t)
         held[f] = min(max(np.float64(lobes.holdout[k]), 0.0) * scale, 1.0)
         if holdout[k]:

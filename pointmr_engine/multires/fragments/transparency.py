@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.forward.shading.lobe_light import ADDED
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf.layout import SAMPLE, WEIGHT
 from pointmr_engine.shading.bsdf.vector import combine, load3, mean
 
 TINGE = 0.02  # of light in a channel: what coloured transparency lets through, below which it is not followed
-ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, has had its transparency added
 FAINTEST = 0.05  # opaque share of a footprint below which its lobes say too little
 UNKNOWN = -1.0  # instead of what a place lets through: of footprints that hold no holes
 
