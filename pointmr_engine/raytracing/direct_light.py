@@ -12,7 +12,7 @@ from pointmr_engine.numerics.hashing import hash_path
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
-from pointmr_engine.raytracing.light_sampling import NONE, LightSamples
+from pointmr_engine.raytracing.light_sampling import NONE, TRIANGLE, LightSamples
 from pointmr_engine.raytracing.paths import FINAL, Limits, Paths, Samples, only_diffuse
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_rays
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
@@ -115,11 +115,9 @@ def connect(
         d = paths.rays.direction[k]
         wo = (lights.direction[i, 0], lights.direction[i, 1], lights.direction[i, 2])
         scattered = lights.scattered[i]
-        if (
-            scattered
-            and not lobes.flags[k] & HAS_TRANSMISSION
-            and dot(row3(lobes.geometric_normal, k), wo) < 0.0
-        ):
+        # lobes send nothing to below the triangle: of a closed surface, its other side would shine there
+        above = scattered or (limits.diffuse_by_lights and lights.kind[i] == TRIANGLE)
+        if above and not lobes.flags[k] & HAS_TRANSMISSION and dot(row3(lobes.geometric_normal, k), wo) < 0.0:
             continue
         diffuse, matt, glossy, transmission, pdf = evaluate(lobes, k, (-d[0], -d[1], -d[2]), wo)
         seen = lights.visibility[i]

@@ -125,6 +125,12 @@ class Lights:
         """(materials,) bool: which of the materials 0.. are sampled as lights."""
         return np.isin(np.arange(materials), self._materials)
 
+    def parts_of(self, emitters: np.ndarray) -> np.ndarray:
+        """(n,) int32: the parts that emitters (n,) belong to."""
+        if self._placements is None:
+            return np.zeros(len(emitters), np.int32)
+        return self._placements.part[self.arrays.emitters.placement[emitters]]
+
     @property
     def even_world(self) -> bool:
         """Whether the world has one radiance, and is sampled."""

@@ -37,6 +37,7 @@ from pointmr_engine.multires.paths.shadow_edges import LARGE
 from pointmr_engine.multires.paths.wide_lamps import WideLamps
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
+from pointmr_engine.raytracing.light_sampling import NONE
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
 from pointmr_engine.raytracing.paths import NO_LAMPS, SEES_LAMPS
 from pointmr_engine.raytracing.surface import frames
@@ -163,7 +164,23 @@ class ConePaths(WideLamps):
         else:
             chosen.pdf[:] *= self.stage.lights.turns.count(turn)
         chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
+        self._leave_insides(m, chosen)
         return chosen
+
+    def _leave_insides(self, m: int, chosen) -> None:
+        """No inner side of a closed mesh lights what is seen of it from outside: pieces stand for places that lie below
+        others of them, from where it would be seen.
+        """
+        lights = self.stage.lights
+        found = np.flatnonzero((chosen.kind == TRIANGLE) & ~self.lit_transmissive[:m])
+        rows, index = self.lit_rows[found], chosen.index[found]
+        outside = lights.arrays.emitters.outside[index]
+        own = (outside != 0.0) & (self.frames.backfacing[rows] == (outside < 0.0))
+        own &= (self.hits.path[rows] == chosen.path[found]) & (self.hits.part[rows] == lights.parts_of(index))
+        found, index, outside = found[own], index[own], outside[own]
+        a, b, c = lights.arrays.emitters.vertices[index].transpose(1, 0, 2)
+        leaves = (np.cross(b - a, c - a) * chosen.direction[found]).sum(1) * outside > 0.0
+        chosen.kind[found[leaves]] = NONE
 
     def connect(self, now, m: int, chosen) -> int:
         glints, kind = self.glints, chosen.kind
