@@ -66,8 +66,8 @@ class ConeLight:
             self.shares_lobes and stage.limits.transmission > 0 and refracts(sampler.programs)
         )
         # a mirror never shows a lamp that is a point
-        self.points = lamps > 0 and not bool(arrays.lamps.mis.all())
-        self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and bool(arrays.lamps.mis.all())
+        self.points = not bool(arrays.lamps.mis.all())
+        self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and not self.points
         self.bends = self.extended and lamps > 0 and not self.many
         of = arrays.lamps.source
         taking_cones = [lights.lamps[of[k]] for k in wide]

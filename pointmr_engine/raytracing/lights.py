@@ -89,7 +89,7 @@ class Lights:
         self._placements = placements
         self._programs = programs
         self._materials = materials  # (E,) int32: material of each emitter
-        self._scattered = scattered  # (materials,) bool: Cycles does not sample what has it
+        self._scattered = scattered  # (E,) bool: Cycles does not sample it
 
     @cached_property
     def apart(self) -> Lights:
@@ -127,8 +127,6 @@ class Lights:
 
     def parts_of(self, emitters: np.ndarray) -> np.ndarray:
         """(n,) int32: the parts that emitters (n,) belong to."""
-        if self._placements is None:
-            return np.zeros(len(emitters), np.int32)
         return self._placements.part[self.arrays.emitters.placement[emitters]]
 
     @property
@@ -184,9 +182,9 @@ class Lights:
             kernels.sample_worlds(a.world, a.world_visibility, normal, transmissive, u, out)
         n = len(position)
         out.scattered[:n] = (out.kind[:n] == WORLD) & self.even_world
-        if self._scattered.any() and kind is None:
+        if len(a.emitters.path) and kind is None:
             rows = np.flatnonzero(out.kind[:n] == TRIANGLE)
-            out.scattered[rows] = self._scattered[self._materials[out.index[rows]]]
+            out.scattered[rows] = self._scattered[out.index[rows]]
 
     def emission_at(self, samples: LightSamples, position: np.ndarray) -> None:
         """Fill in `radiance` of the samples whose emission varies; clears `pending`.
@@ -349,5 +347,5 @@ def build_lights(
     dark = any(m is not None and p.emissive and not sampled_sides(m, p, every) for m, p in pairs)
     scattered = np.array([not sampled_sides(m, p) for m, p in pairs], np.bool_)
     only_met = dark or bool(more) or environment.unsampled
-    own = geometry, places, programs, material, scattered
+    own = geometry, places, programs, material, scattered[material]
     return Lights(arrays, environment, *own, sources, nodes, only_met, warnings)

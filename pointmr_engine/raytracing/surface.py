@@ -106,15 +106,7 @@ def gather(
             points.ray_length = ray_state.length[index] + hits.t[index].astype(np.float32)
         elif need == "camera_from_world":
             points.camera_from_world = ray_state.camera_from_world
-        elif need == "object_index":
-            points.object_index = hits.object_index[index]
-        elif need == "object_color":
-            points.object_color = hits.color[index]
-        elif need == "object_random":
-            points.object_random = (hits.seed[index] * (1 / 2**32)).astype(np.float32)
-        elif need.startswith("instance_attribute:"):
-            name = need.partition(":")[2]
-            points.instance_attributes[name] = _instance_attribute(geometry, hits.instance[index], name)
+    place_points(geometry, points, hits, index, needs)
     return points
 
 
@@ -193,16 +185,24 @@ def points_at(
     return points
 
 
-def place_points(geometry: Geometry, points: SurfacePoints, placed: Placements, rows: np.ndarray) -> None:
-    """Fill what the instances of the points' placements, rows (n,) of `placed`, say, where the points have it."""
-    if points.object_index is not None:
-        points.object_index = placed.object_index[rows]
-    if points.object_color is not None:
-        points.object_color = placed.color[rows]
-    if points.object_random is not None:
-        points.object_random = (placed.seed[rows] * (1 / 2**32)).astype(np.float32)
-    for name in points.instance_attributes:
-        points.instance_attributes[name] = _instance_attribute(geometry, placed.instance[rows], name)
+def place_points(
+    geometry: Geometry,
+    points: SurfacePoints,
+    told: Hits | Placements,
+    rows: np.ndarray,
+    needs: frozenset[str],
+) -> None:
+    """Fill what the points' instances say, of that what `needs` names; told: by rows (n,), one a point."""
+    if "object_index" in needs:
+        points.object_index = told.object_index[rows]
+    if "object_color" in needs:
+        points.object_color = told.color[rows]
+    if "object_random" in needs:
+        points.object_random = (told.seed[rows] * (1 / 2**32)).astype(np.float32)
+    for need in needs:
+        kind, _, name = need.partition(":")
+        if kind == "instance_attribute":
+            points.instance_attributes[name] = _instance_attribute(geometry, told.instance[rows], name)
 
 
 def emitting_points(
@@ -215,7 +215,7 @@ def emitting_points(
     points = points_at(
         geometry, placed.part[rows], triangle, u, v, placed.world_from_part[rows], needs, viewer
     )
-    place_points(geometry, points, placed, rows)
+    place_points(geometry, points, placed, rows, needs)
     if points.ray_kind is not None:
         points.ray_kind[:] = np.where(scattered, RAY_DIFFUSE | RAY_REFLECTION, 0)
     return points

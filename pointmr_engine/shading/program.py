@@ -24,18 +24,11 @@ from pointmr_engine.shading.values import normalize
 PLACES = frozenset({"position", "local", "generated", "uv", "attribute", "window"})
 # what a camera's ray tells that its direction alone does not
 UNFORESEEN = frozenset({"ray_length", "transparent_depth", "camera_from_world", "window"})
-# what the place tells that a part is put to, and, where nothing is read of the ray that normals turn with
-OF_PLACEMENT = frozenset(
-    {
-        "position",
-        "world_from_part",
-        "object_location",
-        "object_color",
-        "object_index",
-        "object_random",
-        "instance_attribute",
-    }
+OF_INSTANCE = frozenset(
+    {"object_location", "object_color", "object_index", "object_random", "instance_attribute"}
 )
+# what the place tells that a part is put to, and, where nothing is read of the ray that normals turn with
+OF_PLACEMENT = OF_INSTANCE | {"position", "world_from_part"}
 OF_ROTATION = frozenset({"normal", "smooth_normal", "geometric_normal"})
 BLUNT = 0.45  # roughness from which lobes are wider than what most bumps would make of them
 

@@ -14,7 +14,6 @@ from tests.engine.test_raytrace_glass import ball
 from tests.engine.test_raytrace_light import DARK, image
 
 EYE = Camera(look((0.0, -6.0, 2.0), (0.0, 0.0, 0.0)))
-GREY = principled(base_color=(0.5, 0.5, 0.5), specular_ior_level=0.0)
 
 
 @pytest.mark.parametrize("method", ["raytrace", "forward"])

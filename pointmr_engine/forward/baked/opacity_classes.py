@@ -15,15 +15,15 @@ import numpy as np
 from pointmr_engine.forward.baked.opacity_lattice import in_triangle, lattice
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.shading.program import OF_INSTANCE
 
 LOOKS = 16  # points of a triangle that are compared with its leader's
 SIDE = 32  # samples along the edges of leaders while they are compared
 TOLERANCE = 0.12  # of opacity
 LEADERS = 16  # at most, of triangles that vary alike
 _QUANTUM = 1.0 / 4096  # of texture coordinates
-# for all points
-_SAME = ("object_color", "object_index", "object_random", "object_location", "instance_attribute")
-_PLACELESS = ("footprint", "uv_footprint", "geometric_normal", "moved", *_SAME)
+# the same for all points, or not of their places
+_PLACELESS = ("footprint", "uv_footprint", "geometric_normal", "moved", *OF_INSTANCE)
 
 Opacity = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 

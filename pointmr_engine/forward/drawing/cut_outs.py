@@ -97,7 +97,7 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
             if programs[m].opaque:
                 continue
             rows = np.flatnonzero(material == m)
-            own = partial(opacity_of.opacity, m, part)
+            own = partial(opacity_of.opacity, m, part, adds=programs[m].adds)
             needs = programs[m].transparency_needs | programs[m].shown_needs
             which, inverse = opacity_classes(geometry, part, needs, rows, own)
             which, shared = _without_even(rows, which, own)
@@ -139,7 +139,7 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
 
 
 def _beside(chosen: np.ndarray) -> np.ndarray:
-    """Which of cells (..., R, R) are chosen (bool), or less than BESIDE cells away from those."""
+    """Which of cells (2, n, R, R) are chosen (bool), or at most BESIDE cells away from those."""
     width = 2 * BESIDE + 1
     padded = np.pad(chosen, ((0, 0), (0, 0), (BESIDE, BESIDE), (BESIDE, BESIDE)))
     return sliding_window_view(padded, (width, width), axis=(-2, -1)).any((-2, -1))

@@ -35,26 +35,26 @@ class PartOpacity:
         self._placements: dict[int, Placements] = {}
 
     def opacity(
-        self, material: int, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
-    ) -> np.ndarray:
+        self, material: int, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray,
+        adds: bool = False,
+    ) -> np.ndarray:  # fmt: skip
         """(n, 2) opacity, 0..1, of points of parts' triangles (n,) by weights u, v (n,): mean over placements and
-        channels, and the most that is seen from anywhere, of the channel that is blocked most. (n, 4), if the program
-        adds: the same, and both with what is added.
+        channels, and the most that is seen from anywhere, of the channel that is blocked most.
 
-        part: of all points, or (n,) of each.
+        part: of all points, or (n,) of each. adds: (n, 4): the same, and both with what the program adds.
         """
         program = self.programs[material]
         if not program.placed or np.ndim(part) == 0:
-            return self._of_part(program, part, triangles, u, v)
-        result = np.empty((len(triangles), 4 if program.adds else 2))
+            return self._of_part(program, part, triangles, u, v, adds)
+        result = np.empty((len(triangles), 4 if adds else 2))
         for p in np.unique(part):
             rows = np.flatnonzero(part == p)
-            result[rows] = self._of_part(program, int(p), triangles[rows], u[rows], v[rows])
+            result[rows] = self._of_part(program, int(p), triangles[rows], u[rows], v[rows], adds)
         return result
 
-    def _of_part(self, program: Program, part, triangles, u, v) -> np.ndarray:
+    def _of_part(self, program: Program, part, triangles, u, v, adds: bool) -> np.ndarray:
         n = len(triangles)
-        needs = program.transparency_needs | program.shown_needs
+        needs = program.transparency_needs | (program.shown_needs if adds else frozenset())
         mean, least, added, looks = np.zeros(n), np.ones(n), np.zeros(n, np.float32), 0
         known = not program.unforeseen and (
             not program.placed or len(self._placed(part).part) <= MOST_PLACEMENTS
@@ -67,17 +67,16 @@ class PartOpacity:
                 if view == 1.0:
                     mean += (r + g + b) / 3.0
                     looks += 1
-                if program.adds:
+                if adds:
                     shown = program.shown(points)
                     added = np.maximum(added, np.where((clear + shown).max(1) > 1.001, shown.max(1), 0.0))
         if not known:
             least[:] = 0.0
-        found = 1.0 - np.stack((mean / max(looks, 1), least), 1)
-        if not program.adds:
+        found = 1.0 - np.stack((mean / looks, least), 1)
+        if not adds:
             return found
-        least = LEAST_ADDED * (added > 0.0)
-        share = np.clip(added, LEAST_ADDED, MOST_ADDED) * (added > 0.0)
-        return np.concatenate([found, np.maximum(found, np.stack((least, share), 1))], 1)
+        shares = np.stack((np.full(n, LEAST_ADDED), np.clip(added, LEAST_ADDED, MOST_ADDED)), 1)
+        return np.concatenate([found, np.maximum(found, shares * (added > 0.0)[:, None])], 1)
 
     def transparency(
         self, material: int, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
@@ -102,7 +101,7 @@ class PartOpacity:
             return
         for k in range(min(len(placed.part), MOST_PLACEMENTS)):
             points = self._points(part, triangles, u, v, needs, view, placed.world_from_part[k])
-            place_points(self.geometry, points, placed, np.full(len(triangles), k))
+            place_points(self.geometry, points, placed, np.full(len(triangles), k), needs)
             yield points
 
     def _points(self, part, triangles, u, v, needs, view: float, world_from_part=None) -> SurfacePoints:

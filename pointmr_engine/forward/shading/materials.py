@@ -112,7 +112,6 @@ class FullShading:
                 own.lobes, own.view.incoming, own.flat, self.shader.tables, world.diffuse, world.glossy,
                 world.transmission, n_, light,
             )  # fmt: skip
-        own.passed[:n] = 1.0
         if self.adds is not None:
             let_through(hierarchy.cut_outs, f, first_, n_, own.passed)
             own.passed[:n][~self.adds[own.frames.material[:n]]] = 1.0

@@ -244,6 +244,14 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
 
 
 @device
+def _singular(kind):
+    """(RAY_SINGULAR or 0 of the rays of a lobe of this kind, what materials are told of them)."""
+    if kind & SINGULAR_LOBE:
+        return np.int64(RAY_SINGULAR), np.int64(RAY_SINGULAR)
+    return np.int64(0), np.int64(RAY_MIRRORED) if kind & MIRROR else np.int64(0)
+
+
+@device
 def _reflect(
     paths, k, j, hits, frames, lobes, limits, w, factor, wi, u, v, out, m, record, glints, integrated,
     small, bent, rough, ray, alone, own, shape,
@@ -256,8 +264,7 @@ def _reflect(
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
     cosine = dot(nm, wi)
-    singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
-    said = singular if singular else np.int64(RAY_MIRRORED) if kind & MIRROR else np.int64(0)
+    singular, said = _singular(kind)
     if ray:
         wo, weight, density, side = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
@@ -358,8 +365,7 @@ def _refract(
     """
     kind = lobes.kind[k, j]
     nm = load3(lobes.data, k, j, NORMAL)
-    singular = np.int64(RAY_SINGULAR) if kind & SINGULAR_LOBE else np.int64(0)
-    said = singular if singular else np.int64(RAY_MIRRORED) if kind & MIRROR else np.int64(0)
+    singular, said = _singular(kind)
     inverse = inverse_ior(lobes, k, j)
     d, bend, refracts = refraction(nm, wi, inverse, rough)
     seen = np.int64(SEES_LAMPS) if glints else np.int64(0)

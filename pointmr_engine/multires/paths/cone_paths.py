@@ -164,7 +164,8 @@ class ConePaths(WideLamps):
         else:
             chosen.pdf[:] *= self.stage.lights.turns.count(turn)
         chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
-        self._leave_insides(m, chosen)
+        if turn is None and len(self.stage.lights.arrays.emitters.path):
+            self._leave_insides(m, chosen)
         return chosen
 
     def _leave_insides(self, m: int, chosen) -> None:
