@@ -5,9 +5,12 @@ BLEND ?= scenes_blend/still_life.blend
 OUT   ?= out
 ARGS  ?=
 VENV  ?= .venv
+JOBS  ?= 2
 PYTHON ?= $(firstword $(shell command -v python3.11 python3 2>/dev/null))
 
 BIN   := $(VENV)/bin
+# tests run in JOBS processes: most of a test is one thread's work (compiling, Python); a file stays in one process
+PYTEST := $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadfile
 PIP   := $(BIN)/python -m pip --disable-pip-version-check --quiet install --prefer-binary
 STAMP := $(VENV)/.pointmr
 
@@ -16,7 +19,7 @@ STAMP := $(VENV)/.pointmr
 
 help:
 	@echo "make render    render $(BLEND) to $(OUT)/ (BLEND=..., ARGS='--method raytrace --cones 4')"
-	@echo "make test      lint and quick tests       make test-all  every test"
+	@echo "make test      lint and quick tests       make test-all  every test (JOBS=$(JOBS) processes)"
 	@echo "make bench     error against time, beside Cycles, to $(OUT)/judge/"
 	@echo "make clean     remove out/, caches and compiled kernels (not .venv)"
 
@@ -24,10 +27,10 @@ render: $(STAMP)-render
 	$(BIN)/pointmr render "$(BLEND)" -o "$(OUT)/$(basename $(notdir $(BLEND))).exr" --png $(ARGS)
 
 test: lint
-	$(BIN)/python -m pytest -q -m "not slow" $(ARGS)
+	$(PYTEST) -m "not slow" $(ARGS)
 
 test-all: lint
-	$(BIN)/python -m pytest -q $(ARGS)
+	$(PYTEST) $(ARGS)
 
 lint: $(STAMP)-test
 	$(BIN)/ruff check .
