@@ -17,10 +17,12 @@ import time
 import traceback
 from collections.abc import Callable
 
+from pointmr_engine.image.tile_workers import most_memory
+
 
 def peak_mb() -> float:
-    """Peak resident memory of this process so far, in MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    """Peak resident memory of this process so far, and what its tile workers had of their own, in MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 + most_memory() / 2**20
 
 
 def seconds(text: str) -> float:

@@ -374,7 +374,9 @@ def save_view(scene, path: Path) -> None:
 
 
 def peak_memory() -> int:
-    """Peak resident memory of this process, in bytes."""
+    """Peak resident memory of this process, and of those that rendered tiles for it what was their own, in bytes."""
+    from pointmr_engine.image.tile_workers import most_memory
+
     if sys.platform == "win32":
         import psutil
 
@@ -382,4 +384,4 @@ def peak_memory() -> int:
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if platform.system() == "Darwin" else peak * 1024
+    return most_memory() + (peak if platform.system() == "Darwin" else peak * 1024)

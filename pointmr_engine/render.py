@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import closing
 from dataclasses import asdict, replace
 from typing import NamedTuple
 
@@ -332,25 +331,28 @@ def _tile_size(width: int, height: int, samples: int, batch: int) -> int:
 
 def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame, Counter]:
     from pointmr_engine.image.film import Film
+    from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes
     from pointmr_engine.raytracing.integrator import BATCH, Workspace
 
     film = Film(settings)
     x0, y0, x1, y1 = film.region
     tiles = film.tiles(_tile_size(x1 - x0, y1 - y0, settings.samples, BATCH))
     stop = threading.Event()
-    local = threading.local()
-    spaces: list[Workspace] = []
+    spaces: list[Workspace] = []  # that no thread uses
     total = (x1 - x0) * (y1 - y0) * settings.samples
-    done = [0]
+    done = [0, 0]  # samples: those that threads have taken, and those of finished tiles
     lock = threading.Lock()
+    counters: Counter = Counter()
+    apart = settings.processes and can_fork(len(tiles), settings.threads)
+    if apart:
+        share_passes(film.frame)
 
     def work(bounds):
-        if stop.is_set():
-            return None
-        if not hasattr(local, "space"):
-            local.space = Workspace(stage, BATCH)
-            with lock:
-                spaces.append(local.space)
+        try:
+            space = spaces.pop()
+        except IndexError:
+            space = Workspace(stage, BATCH)
+        space.counters.clear()
         sums = film.tile(bounds)
         pixels = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
         chunk = max(1, BATCH // pixels)
@@ -358,34 +360,33 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
             if stop.is_set():
                 return None
             count = min(chunk, settings.samples - first)
-            local.space.render_tile(sums, first, count)
+            space.render_tile(sums, first, count)
             with lock:
                 done[0] += pixels * count
         film.finish_tile(sums)
-        left, low = bounds[0] - x0, bounds[1] - y0
-        block = film.frame.passes["combined"][low : bounds[3] - y0, left : bounds[2] - x0]
-        return Tile(left, low, block.copy())
+        counted = space.counters.copy()
+        spaces.append(space)
+        return bounds, counted, film.bad[bounds]
 
-    def first_alone(bounds):
-        if not _warm.is_set():
-            with _warm_lock:
-                if not _warm.is_set():
-                    tile = work(bounds)
-                    _warm.set()
-                    return tile
-        return work(bounds)
+    def render(tiles, apart):
+        warnings = film.frame.warnings
+        with closing(finished_tiles(work, tiles, settings.threads, apart, warnings)) as finished:
+            for tile in finished:
+                if tile is not None:
+                    bounds, counted, film.bad[bounds] = tile
+                    left, low, right, high = bounds
+                    counters.update(counted)
+                    done[1] += (right - left) * (high - low) * settings.samples
+                    block = film.frame.passes["combined"][low - y0 : high - y0, left - x0 : right - x0]
+                    clock.tell(max(done) / total, Tile(left - x0, low - y0, block.copy()))
+                clock.tell(max(done) / total)
 
-    threads = settings.threads or os.cpu_count() or 1
-    pool = ThreadPoolExecutor(threads, thread_name_prefix="pointmr")
     try:
-        pending = {pool.submit(first_alone, bounds) for bounds in tiles}
-        while pending:
-            finished, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
-            for future in finished:
-                clock.tell(done[0] / total, future.result())
-            if not finished:
-                clock.tell(done[0] / total)
+        with _warm_lock:
+            alone = [] if _warm.is_set() else [tiles.pop(0)]
+            render(alone, False)
+            _warm.set()
+        render(tiles, apart)
     finally:
         stop.set()
-        pool.shutdown(wait=True, cancel_futures=True)
-    return film.result(), sum((s.counters for s in spaces), Counter())
+    return film.result(), counters

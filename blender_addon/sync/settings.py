@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import bpy
+
 from pointmr_engine.scene.settings import (
     FILTERS,
     METHODS,
@@ -41,6 +43,7 @@ def render_settings(scene, view_layer=None, *, report=None) -> RenderSettings:
     settings.region = region(render)
     settings.film_transparent = render.film_transparent
     settings.threads = render.threads if render.threads_mode == "FIXED" else 0
+    settings.processes = bpy.app.background
     own = getattr(scene, "pointmr", None)
     if own is not None:
         for name, source in PLAIN.items():

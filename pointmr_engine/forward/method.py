@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import copy
-import os
 import threading
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import closing
 from functools import cached_property
 
 import numpy as np
@@ -29,6 +28,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.octree import build_octree, triangle_corners
 from pointmr_engine.hierarchy.sample_sets import SampleSets
 from pointmr_engine.image.frame import Frame
+from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes
 from pointmr_engine.raytracing.camera import CameraArrays
 from pointmr_engine.raytracing.environment import Environment
 from pointmr_engine.raytracing.lamps import compile_lamps
@@ -56,6 +56,7 @@ class Sampler:
         self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_light.ConeLight)
         self.lights = None  # by cone_light.sampled_lights, where lights of the scene are left to chance
         self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
+        self.warm = False  # an image has been rendered: what its tiles ask for is there
         self.sets: dict[tuple, SampleSets] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
@@ -113,6 +114,7 @@ class Image:
     """One image: everything that its tiles share."""
 
     warnings: list[str] = []  # what was asked for and could not be had
+    apart = False  # tiles run enough Python to be rendered by processes, where the settings want it
     coloured = False  # cut-outs are those of the channel that is blocked most; the others' light goes on
 
     def __init__(self, sampler: Sampler, scene: Scene, camera: CameraArrays, settings: RenderSettings):
@@ -258,63 +260,65 @@ def render_image(
         for y in range(y0 // side * side, y1, side)
         for x in range(x0 // side * side, x1, side)
     ]
-    total, done = len(tiles), 0
     image.prepare(lambda: tell(0.0, None))
-    local = threading.local()
-    spaces: list[Workspace] = []
-    lock = threading.Lock()
-    stop = threading.Event()
+    threads, sampler = image.settings.threads, image.sampler
+    apart = image.apart and image.settings.processes and can_fork(len(tiles), threads)
+    if apart:
+        share_passes(frame)
+    counters: Counter = Counter(image.drawn.counts if image.drawn is not None else {})
+    spaces: list[Workspace] = []  # that no thread uses
+    total, left, missing = len(tiles), set(tiles), []
 
     def work(bounds):
-        if stop.is_set():
-            return bounds, None, None
-        if not hasattr(local, "space"):
-            local.space = image.sampler.space(image)
-            with lock:
-                spaces.append(local.space)
-        hierarchy = image.hierarchy()
-        missing = local.space.draw(bounds, hierarchy)
-        if missing is None:
-            missing = local.space.shade(bounds, hierarchy, frame)
-        return bounds, missing, (bounds[0] - x0, bounds[1] - y0)
+        try:
+            space = spaces.pop()
+        except IndexError:
+            space = sampler.space(image)
+        before, hierarchy = _counts(space), image.hierarchy()
+        found = space.draw(bounds, hierarchy)
+        if found is None:
+            found = space.shade(bounds, hierarchy, frame)
+        counted = _counts(space)
+        counted.subtract(before)
+        spaces.append(space)
+        return bounds, found, counted
 
-    pool = ThreadPoolExecutor(image.settings.threads or os.cpu_count() or 1, thread_name_prefix="pointmr")
+    def render(tiles, apart):
+        with closing(finished_tiles(work, tiles, threads, apart, frame.warnings)) as finished:
+            for tile in finished:
+                if tile is not None:
+                    bounds, found, counted = tile
+                    counters.update(counted)
+                    if found is None:
+                        left.discard(bounds)
+                        x, y = bounds[0] - x0, bounds[1] - y0
+                        block = frame.passes["combined"][y : bounds[3] - y0, x : bounds[2] - x0]
+                        tell(1.0 - len(left) / total, (x, y, block.copy()))
+                    else:
+                        missing.append(found)
+                tell(1.0 - len(left) / total, None)
+
     try:
-        while tiles:
-            # numba's dispatchers must not meet new types on two threads at once: a process' first tiles run alone
-            alone = 0 if _warm.is_set() else 1
-            pending = {pool.submit(work, bounds) for bounds in (tiles[:1] if alone else tiles)}
-            waiting = tiles[1:] if alone else []
-            again: list[tuple[tuple, np.ndarray]] = []
-            while pending:
-                finished, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
-                if finished and waiting:
-                    pending |= {pool.submit(work, bounds) for bounds in waiting}
-                    waiting = []
-                for future in finished:
-                    bounds, missing, place = future.result()
-                    if missing is not None:
-                        again.append((bounds, missing))
-                    elif place is not None:
-                        x, y = place
-                        done += 1
-                        block = frame.passes["combined"][
-                            y : y + bounds[3] - bounds[1], x : x + bounds[2] - bounds[0]
-                        ]
-                        tell(done / total, (x, y, block.copy()))
-                tell(done / total, None)
-            if again:
-                image.build(np.unique(np.concatenate([m for _, m in again])), tell)
+        while left:
+            tiles, missing = sorted(left), []
+            # one alone: numba's dispatchers must not meet new types on two threads at once, and what it asks to be made
+            # for all the image, processes would have to make one by one
+            if not _warm.is_set() or (apart and not sampler.warm):
+                render([tiles.pop(len(tiles) // 2)], False)
+            if tiles:  # which mostly miss sets, too, if that one does
+                render(tiles, apart and not missing)
+            if missing:
+                image.build(np.unique(np.concatenate(missing)), tell)
             else:
                 _warm.set()
-            tiles = sorted(bounds for bounds, _ in again)
+                sampler.warm = True
     finally:
-        stop.set()
-        pool.shutdown(wait=True, cancel_futures=True)
-        counters = Counter(image.drawn.counts if image.drawn is not None else {})
         image.finish()
-    for space in spaces:
-        counters.update(space.counts())
-        counters.update(getattr(space.shading, "counters", {}))
-    image.sampler.keep(image, spaces)
+    sampler.keep(image, spaces)
     return counters
+
+
+def _counts(space: Workspace) -> Counter:
+    counts = Counter(space.counts())
+    counts.update(getattr(space.shading, "counters", {}))
+    return counts

@@ -8,7 +8,6 @@ position and the indices come from sample 0, which goes through the pixel's cent
 from __future__ import annotations
 
 import math
-import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -164,8 +163,7 @@ class Film:
             self.frame.passes[name] = np.zeros((y1 - y0, x1 - x0, CHANNELS[name]), np.float32)
         if "depth" in names:
             self.frame.passes["depth"].fill(NOTHING)
-        self.bad_samples = 0
-        self._lock = threading.Lock()
+        self.bad: dict[tuple, int] = {}  # samples that were not finite, by tile
 
     def tiles(self, size: int) -> list[tuple[int, int, int, int]]:
         """Bounds of the tiles, at most size x size, that cover the region, in whole-image pixels, top row first."""
@@ -208,12 +206,11 @@ class Film:
                     block, nan=0.0, posinf=np.finfo(np.float32).max, neginf=-np.finfo(np.float32).max
                 )
             target[low : low + rows, left : left + columns] = block
-        with self._lock:
-            self.bad_samples += int(tile.bad[0])
+        self.bad[x0, y0, x1, y1] = int(tile.bad[0])
 
     def result(self) -> Frame:
         """The frame, with `bad_samples` in its stats and a warning if there were any."""
-        self.frame.stats["bad_samples"] = self.bad_samples
-        if self.bad_samples:
-            self.frame.warnings.append(f"{self.bad_samples} samples were not finite and were taken as black")
+        self.frame.stats["bad_samples"] = bad = sum(self.bad.values())
+        if bad:
+            self.frame.warnings.append(f"{bad} samples were not finite and were taken as black")
         return self.frame

@@ -45,6 +45,8 @@ def primary_settings(settings: RenderSettings, alpha: bool) -> RenderSettings:
 class TracedImage(Image):
     """One image of method "raytrace": everything that its tiles share."""
 
+    apart = True
+
     def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
         if stage.needs.transparent_shadows:
             stage = replace(stage, acceleration=with_micromap(stage.acceleration, sampler))

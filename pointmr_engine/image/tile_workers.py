@@ -1,0 +1,121 @@
+"""Who renders an image's tiles: threads, or processes forked from this one.
+
+Between its kernels a tile runs Python, and numpy on short arrays. Threads take turns at that (the interpreter's lock),
+and each turn finds its data in the other core's cache. Forked processes share the scene, which nobody changes
+meanwhile, and have an interpreter each (`python -m benchmarks.tile_workers` measures both).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from multiprocessing import active_children, get_context
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from pointmr_engine.image.frame import Frame
+
+TOLD = 0.1  # seconds after which callers hear that nothing is finished
+MEASURED = 2.0  # seconds between looks at the memory of processes
+TILES = 2  # for each process at least: fewer are not worth to fork for
+_PR_SET_PDEATHSIG = 1
+
+Bounds = tuple[int, int, int, int]
+_most = 0
+_work: Callable | None = None  # what a forked process does with a tile
+
+
+def can_fork(tiles: int, threads: int) -> bool:
+    """Whether so many tiles are rendered by processes where that is asked for: on Linux, and by more than one."""
+    count = threads or os.cpu_count() or 1
+    return sys.platform == "linux" and 1 < count and TILES * count <= tiles
+
+
+def most_memory() -> int:
+    """Bytes that all forked processes together had of their own at most, besides what they share with this one."""
+    return _most
+
+
+def share_passes(frame: Frame) -> None:
+    """Move a frame's passes to memory that forked processes write into."""
+    for name, values in frame.passes.items():
+        shared = np.frombuffer(mmap.mmap(-1, max(values.nbytes, 1)), values.dtype, values.size)
+        frame.passes[name] = shared.reshape(values.shape)
+        frame.passes[name][:] = values
+
+
+def finished_tiles(
+    work: Callable[[Bounds], object], tiles: list[Bounds], threads: int, apart: bool, warnings: list[str]
+) -> Iterator[object | None]:
+    """What `work` returns for each of the tiles, in the order in which they finish; now and then None.
+
+    threads: at once; 0: one per core. apart: by processes forked from this one, in which what `work` changes is theirs
+    alone but for shared memory, and from which what it returns is pickled. If one of them is ended, threads go on, and
+    `warnings` say so. Raises what `work` raises. Closing the iterator ends all workers: use contextlib.closing.
+    """
+    count = max(min(threads or os.cpu_count() or 1, len(tiles)), 1)
+    stop, others, measured = threading.Event(), set(active_children()), monotonic()
+
+    def unless_stopped(bounds: Bounds):
+        return None if stop.is_set() else work(bounds)
+
+    if apart:
+        pool, task = ProcessPoolExecutor(count, get_context("fork"), _begin, (work,)), _run
+    else:
+        pool, task = ThreadPoolExecutor(count, thread_name_prefix="pointmr"), unless_stopped
+    pending, broken = {}, []
+    try:
+        pending = {pool.submit(task, bounds): bounds for bounds in tiles}
+        while pending:
+            finished, _ = wait(pending, timeout=TOLD, return_when=FIRST_COMPLETED)
+            if apart and monotonic() > measured + MEASURED:
+                _measure(set(active_children()) - others)
+                measured = monotonic()
+            for future in finished:
+                bounds = pending.pop(future)
+                if isinstance(future.exception(), BrokenExecutor):
+                    broken.append(bounds)
+                else:
+                    yield future.result()
+            yield None
+    finally:
+        stop.set()
+        if apart and pending:
+            for process in set(active_children()) - others:
+                process.kill()
+        pool.shutdown(wait=True, cancel_futures=True)
+    if broken:
+        warnings.append("a process that rendered tiles was ended, by lack of memory perhaps: threads went on")
+        yield from finished_tiles(work, broken, threads, False, warnings)
+
+
+def _begin(work: Callable) -> None:
+    """A forked process starts: it leaves Ctrl-C to its parent, and ends with it."""
+    global _work
+    _work = work
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def _run(bounds: Bounds) -> object:
+    return _work(bounds)
+
+
+def _measure(processes: set) -> None:
+    global _most
+    own = 0
+    for process in processes:
+        try:
+            lines = Path(f"/proc/{process.pid}/smaps_rollup").read_text().splitlines()
+        except OSError:  # it has just ended
+            continue
+        own += sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
+    _most = max(_most, 1024 * own)
