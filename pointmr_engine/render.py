@@ -331,17 +331,16 @@ def _tile_size(width: int, height: int, samples: int, batch: int) -> int:
 
 def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame, Counter]:
     from pointmr_engine.image.film import Film
-    from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes
+    from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes, shared_zeros
     from pointmr_engine.raytracing.integrator import BATCH, Workspace
 
     film = Film(settings)
     x0, y0, x1, y1 = film.region
     tiles = film.tiles(_tile_size(x1 - x0, y1 - y0, settings.samples, BATCH))
-    stop = threading.Event()
     spaces: list[Workspace] = []  # that no thread uses
-    total = (x1 - x0) * (y1 - y0) * settings.samples
-    done = [0, 0]  # samples: those that threads have taken, and those of finished tiles
-    lock = threading.Lock()
+    stop, total = threading.Event(), (x1 - x0) * (y1 - y0) * settings.samples
+    done = shared_zeros((len(tiles),), np.int64)  # samples of each tile
+    place = {bounds: k for k, bounds in enumerate(tiles)}
     counters: Counter = Counter()
     apart = settings.processes and can_fork(len(tiles), settings.threads)
     if apart:
@@ -353,7 +352,7 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
         except IndexError:
             space = Workspace(stage, BATCH)
         space.counters.clear()
-        sums = film.tile(bounds)
+        sums, done[place[bounds]] = film.tile(bounds), 0
         pixels = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
         chunk = max(1, BATCH // pixels)
         for first in range(0, settings.samples, chunk):
@@ -361,8 +360,7 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
                 return None
             count = min(chunk, settings.samples - first)
             space.render_tile(sums, first, count)
-            with lock:
-                done[0] += pixels * count
+            done[place[bounds]] += pixels * count
         film.finish_tile(sums)
         counted = space.counters.copy()
         spaces.append(space)
@@ -370,23 +368,19 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
 
     def render(tiles, apart):
         warnings = film.frame.warnings
-        with closing(finished_tiles(work, tiles, settings.threads, apart, warnings)) as finished:
+        with closing(finished_tiles(work, tiles, settings.threads, apart, warnings, stop)) as finished:
             for tile in finished:
                 if tile is not None:
                     bounds, counted, film.bad[bounds] = tile
                     left, low, right, high = bounds
                     counters.update(counted)
-                    done[1] += (right - left) * (high - low) * settings.samples
                     block = film.frame.passes["combined"][low - y0 : high - y0, left - x0 : right - x0]
-                    clock.tell(max(done) / total, Tile(left - x0, low - y0, block.copy()))
-                clock.tell(max(done) / total)
+                    clock.tell(float(done.sum()) / total, Tile(left - x0, low - y0, block.copy()))
+                clock.tell(float(done.sum()) / total)
 
-    try:
-        with _warm_lock:
-            alone = [] if _warm.is_set() else [tiles.pop(0)]
-            render(alone, False)
-            _warm.set()
-        render(tiles, apart)
-    finally:
-        stop.set()
+    with _warm_lock:
+        alone = [] if _warm.is_set() else [tiles.pop(0)]
+        render(alone, False)
+        _warm.set()
+    render(tiles, apart)
     return film.result(), counters

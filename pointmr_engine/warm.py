@@ -257,9 +257,11 @@ class _Kernels:
         self.space.scatter(self.now, 0, self.alive, 1)
 
     def direct_light(self) -> None:
+        from pointmr_engine.raytracing.frames import veil_frames
         from pointmr_engine.raytracing.light_sampling import LightSamples
 
         if self.wanted["transparent"]:
+            veil_frames(self.geometry, self.space.veil_hits, 0, self.space.veil_frames)
             self.space.dim(self.space.waiting[:0], np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
         self.space.settle(0)
         if self.space.raises:

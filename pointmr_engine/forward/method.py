@@ -267,7 +267,7 @@ def render_image(
         share_passes(frame)
     counters: Counter = Counter(image.drawn.counts if image.drawn is not None else {})
     spaces: list[Workspace] = []  # that no thread uses
-    total, left, missing = len(tiles), set(tiles), []
+    total, left, missing, stop = len(tiles), set(tiles), [], threading.Event()
 
     def work(bounds):
         try:
@@ -284,7 +284,7 @@ def render_image(
         return bounds, found, counted
 
     def render(tiles, apart):
-        with closing(finished_tiles(work, tiles, threads, apart, frame.warnings)) as finished:
+        with closing(finished_tiles(work, tiles, threads, apart, frame.warnings, stop)) as finished:
             for tile in finished:
                 if tile is not None:
                     bounds, found, counted = tile

@@ -44,25 +44,37 @@ def most_memory() -> int:
     return _most
 
 
+def shared_zeros(shape: tuple[int, ...], dtype=np.float32) -> np.ndarray:
+    """An array that processes forked from now on write into, too."""
+    count = int(np.prod(shape))
+    memory = mmap.mmap(-1, max(count * np.dtype(dtype).itemsize, 1))
+    return np.frombuffer(memory, dtype, count).reshape(shape)
+
+
 def share_passes(frame: Frame) -> None:
     """Move a frame's passes to memory that forked processes write into."""
     for name, values in frame.passes.items():
-        shared = np.frombuffer(mmap.mmap(-1, max(values.nbytes, 1)), values.dtype, values.size)
-        frame.passes[name] = shared.reshape(values.shape)
+        frame.passes[name] = shared_zeros(values.shape, values.dtype)
         frame.passes[name][:] = values
 
 
 def finished_tiles(
-    work: Callable[[Bounds], object], tiles: list[Bounds], threads: int, apart: bool, warnings: list[str]
+    work: Callable[[Bounds], object],
+    tiles: list[Bounds],
+    threads: int,
+    apart: bool,
+    warnings: list[str],
+    stop: threading.Event,
 ) -> Iterator[object | None]:
     """What `work` returns for each of the tiles, in the order in which they finish; now and then None.
 
     threads: at once; 0: one per core. apart: by processes forked from this one, in which what `work` changes is theirs
     alone but for shared memory, and from which what it returns is pickled. If one of them is ended, threads go on, and
-    `warnings` say so. Raises what `work` raises. Closing the iterator ends all workers: use contextlib.closing.
+    `warnings` say so. Raises what `work` raises. Closing the iterator (contextlib.closing) ends all workers: processes
+    at once, threads when their `work` returns, which may look at `stop`.
     """
     count = max(min(threads or os.cpu_count() or 1, len(tiles)), 1)
-    stop, others, measured = threading.Event(), set(active_children()), monotonic()
+    others, measured = set(active_children()), monotonic()
 
     def unless_stopped(bounds: Bounds):
         return None if stop.is_set() else work(bounds)
@@ -87,14 +99,14 @@ def finished_tiles(
                     yield future.result()
             yield None
     finally:
-        stop.set()
-        if apart and pending:
-            for process in set(active_children()) - others:
+        if pending:
+            stop.set()
+            for process in set(active_children()) - others if apart else ():
                 process.kill()
         pool.shutdown(wait=True, cancel_futures=True)
     if broken:
         warnings.append("a process that rendered tiles was ended, by lack of memory perhaps: threads went on")
-        yield from finished_tiles(work, broken, threads, False, warnings)
+        yield from finished_tiles(work, broken, threads, False, warnings, stop)
 
 
 def _begin(work: Callable) -> None:

@@ -71,7 +71,6 @@ def _normalized(x, y, z, fallback, out):
 def frames_of(tables, samples, outgoing, out):
     """Frames of all samples; outgoing (N, 3) points away from the viewer, or (0, 3): seen from the front."""
     corner = np.empty((3, 3))
-    local = np.empty(3)
     normals_to_world = np.empty((3, 3))
     up = np.zeros(3, np.float32)
     up[2] = 1.0
@@ -89,24 +88,8 @@ def frames_of(tables, samples, outgoing, out):
         for k in range(3):
             for axis in range(3):
                 corner[k, axis] = positions[3 * np.int64(corners[3 * t + k]) + axis]
-        for axis in range(3):
-            local[axis] = (
-                corner[0, axis]
-                + u * (corner[1, axis] - corner[0, axis])
-                + v * (corner[2, axis] - corner[0, axis])
-                + tables.center[p, axis]
-            )
-        size, scale = 0.0, 0.0
-        for r in range(3):
-            x = m[r, 0] * local[0] + m[r, 1] * local[1] + m[r, 2] * local[2] + m[r, 3]
-            out.position[n, r] = x
-            size = max(size, abs(x))
-            scale = max(scale, abs(m[r, 0]) + abs(m[r, 1]) + abs(m[r, 2]))
-        reach = (
-            max(abs(tables.center[p, 0]), abs(tables.center[p, 1]), abs(tables.center[p, 2]))
-            + tables.radius[p]
-        )
-        out.offset[n] = OFFSET * (size + scale * reach)
+        x, y, z, out.offset[n] = _place(tables, m, p, t, u, v)
+        out.position[n, 0], out.position[n, 1], out.position[n, 2] = x, y, z
         cofactors(m, normals_to_world)
         q = normals_to_world
         ax, ay, az = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
@@ -143,11 +126,56 @@ def frames_of(tables, samples, outgoing, out):
             out.backfacing[n] = geometric[0] * d[0] + geometric[1] * d[1] + geometric[2] * d[2] > 0.0
         else:
             out.backfacing[n] = False
-        slot = np.int64(0)
-        if tables.material_index[p] != 0:
-            slot = np.int64(pointer_i32(tables.material_index[p])[t])
-            slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
-        out.material[n] = tables.slot_material[tables.first_slot[p] + slot]
+        out.material[n] = _material(tables, p, t)
+
+
+@uncounted
+def veils_of(tables, samples, out):
+    """Of the frames of all samples, which are of surfaces, offset and material alone."""
+    for n in range(len(samples.part)):
+        _ask_ahead(tables, samples, n)
+        p = samples.part[n]
+        t = np.int64(samples.triangle[n]) - tables.first_triangle[p]
+        place = _place(tables, samples.world_from_part[n], p, t, samples.u[n], samples.v[n])
+        out.offset[n], out.material[n] = place[3], _material(tables, p, t)
+
+
+@device
+def _place(tables, m, p, t, u, v):
+    """World x, y, z of a point of a triangle, and the offset of rays that start there."""
+    corners, positions = pointer_i32(tables.triangles[p]), pointer_f32(tables.positions[p])
+    a, b, c = 3 * np.int64(corners[3 * t]), 3 * np.int64(corners[3 * t + 1]), 3 * np.int64(corners[3 * t + 2])
+    lx = _between(positions, a, b, c, u, v) + tables.center[p, 0]
+    ly = _between(positions, a + 1, b + 1, c + 1, u, v) + tables.center[p, 1]
+    lz = _between(positions, a + 2, b + 2, c + 2, u, v) + tables.center[p, 2]
+    x = m[0, 0] * lx + m[0, 1] * ly + m[0, 2] * lz + m[0, 3]
+    y = m[1, 0] * lx + m[1, 1] * ly + m[1, 2] * lz + m[1, 3]
+    z = m[2, 0] * lx + m[2, 1] * ly + m[2, 2] * lz + m[2, 3]
+    scale = max(
+        abs(m[0, 0]) + abs(m[0, 1]) + abs(m[0, 2]),
+        abs(m[1, 0]) + abs(m[1, 1]) + abs(m[1, 2]),
+        abs(m[2, 0]) + abs(m[2, 1]) + abs(m[2, 2]),
+    )
+    reach = (
+        max(abs(tables.center[p, 0]), abs(tables.center[p, 1]), abs(tables.center[p, 2])) + tables.radius[p]
+    )
+    return x, y, z, OFFSET * (max(abs(x), abs(y), abs(z)) + scale * reach)
+
+
+@device
+def _between(values, a, b, c, u, v):
+    """values[a], interpolated to those of b and c."""
+    first = np.float64(values[a])
+    return first + u * (np.float64(values[b]) - first) + v * (np.float64(values[c]) - first)
+
+
+@device
+def _material(tables, p, t):
+    slot = np.int64(0)
+    if tables.material_index[p] != 0:
+        slot = np.int64(pointer_i32(tables.material_index[p])[t])
+        slot = min(max(slot, np.int64(0)), np.int64(tables.slots[p]) - 1)
+    return tables.slot_material[tables.first_slot[p] + slot]
 
 
 @device
@@ -261,6 +289,12 @@ def frames(
     )
 
 
+def veil_frames(geometry: Geometry, hits: Hits, count: int, out: Frames) -> None:
+    """Fill offset and material of out[:count], all that shadow rays want of most surfaces that they pass."""
+    chosen = slice(0, count)
+    veils_of(geometry.tables, samples_of(hits, chosen), Frames(*(c[chosen] for c in out)))
+
+
 def sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
     """Frames of the hits `rows` only, written to those rows."""
     chosen_rays, chosen_hits = Rays(*(a[rows] for a in rays)), Hits(*(a[rows] for a in hits))
@@ -270,8 +304,9 @@ def sub_frames(geometry, rays: Rays, hits: Hits, rows: np.ndarray, out) -> None:
         target[rows] = values
 
 
-def samples_of(hits: Hits, chosen) -> Samples:
-    """The points that hits[chosen] stand for; chosen is a slice or indices."""
+def samples_of(hits: Hits, chosen, placed: bool = True) -> Samples:
+    """The points that hits[chosen] stand for; chosen is a slice or indices. Without placements unless `placed`."""
     with np.errstate(invalid="ignore"):  # weights of misses are undefined
         u, v = hits.u[chosen].astype(np.float64), hits.v[chosen].astype(np.float64)
-    return Samples(hits.part[chosen], hits.triangle[chosen], u, v, hits.world_from_part[chosen])
+    placements = hits.world_from_part[chosen] if placed else hits.world_from_part[:0]
+    return Samples(hits.part[chosen], hits.triangle[chosen], u, v, placements)

@@ -17,12 +17,13 @@ from pointmr_engine.needs import Needs
 from pointmr_engine.numerics.rng import sobol_tables
 from pointmr_engine.raytracing import direct_light, paths, walk
 from pointmr_engine.raytracing.camera import CameraArrays, sample_rays, window_coordinates
+from pointmr_engine.raytracing.frames import allocate_frames, frames, veil_frames
 from pointmr_engine.raytracing.light_sampling import LightSamples, allocate_light_samples
 from pointmr_engine.raytracing.lights import Lights
 from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits
 from pointmr_engine.raytracing.rays import Rays, allocate_hits
 from pointmr_engine.raytracing.shade import Shader, allocate_view, fill_view
-from pointmr_engine.raytracing.surface import RayState, allocate_frames, allocate_ray_state, frames
+from pointmr_engine.raytracing.surface import RayState, allocate_ray_state
 from pointmr_engine.raytracing.terminator import raise_origins
 from pointmr_engine.raytracing.walk_veils import NOTED, allocate_veils, begin_veils
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, GLOSSY, TRANSMISSION
@@ -386,23 +387,31 @@ class Workspace:
             stage.acceleration, self.veils, waiting, np.minimum(stage.limits.transparent - passed, most), hits
         )
         ray = np.repeat(waiting, taken)
-        rays, n = Rays(*(a[ray] for a in self.shadows.rays)), len(ray)
-        frames(stage.shader.geometry, rays, hits, surface, 0, n)
+        rays, state, n = self.shadows.rays, self.veil_state, len(ray)
+        if stage.shader.plain_veils:
+            veil_frames(stage.shader.geometry, hits, n, surface)
+        else:
+            rays = Rays(*(a[ray] for a in rays))
+            frames(stage.shader.geometry, rays, hits, surface, 0, n)
+            self._veil_state(now, ray, np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n))
+        share = stage.shader.transparency_at(rays, state, hits, surface, np.arange(n))
+        return self.dim(waiting, taken, share)
+
+    def _veil_state(self, now, ray: np.ndarray, passed: np.ndarray) -> None:
+        """What the shadow rays `ray` (n,) tell surfaces, behind `passed` (n,) others."""
         state: RayState = self.veil_state
-        source = self.shadows.source[ray]
+        n, source = len(ray), self.shadows.source[ray]
         for name in ("depth", "diffuse_depth", "glossy_depth", "transmission_depth"):
             getattr(state, name)[:n] = getattr(now.state, name)[source]
         # those that stand for rays that surfaces scatter (direct_light.connect)
-        scattered = rays.visibility == DIFFUSE
+        scattered = self.shadows.rays.visibility[ray] == DIFFUSE
         state.kind[:n] = np.where(scattered, RAY_DIFFUSE | RAY_REFLECTION, RAY_SHADOW)
         state.depth[:n] += scattered
         state.diffuse_depth[:n] += scattered
-        state.transparent_depth[:n] = np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n)
+        state.transparent_depth[:n] = passed
         # unfiltered: what materials make of a mean of their images is not the mean of what they let through
         state.width[:n] = 0.0
         state.spread[:n] = 0.0
-        share = stage.shader.transparency_at(rays, state, hits, surface, np.arange(n))
-        return self.dim(waiting, taken, share)
 
 
 def _depths(camera: CameraArrays, position: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from numba import njit
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing.rays import Hits, Rays
-from pointmr_engine.raytracing.surface import Frames, RayState, gather
+from pointmr_engine.raytracing.surface import Frames, RayState, gather, told_by_hits
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
@@ -115,6 +115,8 @@ class Shader:
         self.bump_correction = [m is None or m.bump_method != "NONE" for m in geometry.materials]
         # materials that add nothing to a path that may not scatter again
         self.dull = np.array([p.opaque and not p.emissive for p in programs] + [True], np.bool_)
+        # `transparency_at` reads neither rays nor frames, but for materials
+        self.plain_veils = all(told_by_hits(p.transparency_needs) for p in programs)
 
     def narrowed(self, footprints: float) -> Shader:
         """The same for rays of which so many footprints are as wide as a pixel."""

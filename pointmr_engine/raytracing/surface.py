@@ -91,12 +91,16 @@ def gather(
     "tangent:NAME" ("" is the mesh's active layer), "attribute:NAME", "instance_attribute:NAME". `ray_state` may be left
     out when nothing of it is needed. Raises KeyError for a need that is not known.
     """
-    samples = samples_of(hits, index)
-    chosen = Frames(*(column[index] for column in frames))
-    direction = rays.direction[index]
+    names = {need.partition(":")[0] for need in needs}
+    read = {column for name in names for column in _FRAME_COLUMNS.get(name, ())}
+    chosen = Frames(
+        *(c[index] if name in read else None for name, c in zip(Frames._fields, frames, strict=True))
+    )
+    samples = samples_of(hits, index, placed=bool(names & _PLACED))
+    direction = rays.direction[index] if names & _DIRECTED else None
     points = SurfacePoints(count=len(samples.part))
     width = None
-    if ray_state is not None:
+    if ray_state is not None and names & _WIDE:
         width = ray_state.width[index] + ray_state.spread[index] * hits.t[index].astype(np.float32)
     _fill_surface(geometry, points, samples, chosen, needs, direction, width)
     for need in needs:
@@ -120,10 +124,28 @@ _RAY_FIELDS = {
     "window": "window",
 }
 _OTHER_FIELDS = {"ray_length", "camera_from_world", "object_index", "object_color", "object_random"}
-# what only frames know, of "NAME" and "KIND:NAME"
-_FRAME_NEEDS = {"position", "normal", "smooth_normal", "geometric_normal", "backfacing", "uv_footprint"}
+# what only frames know, of "NAME" and "KIND:NAME", and which of their columns
+_FRAME_COLUMNS = {
+    "position": ("position",),
+    "normal": ("smooth_normal", "backfacing"),
+    "smooth_normal": ("smooth_normal",),
+    "geometric_normal": ("geometric_normal", "backfacing"),
+    "backfacing": ("backfacing",),
+    "uv_footprint": ("geometric_normal",),
+}
+_FRAME_NEEDS = frozenset(_FRAME_COLUMNS)
 _FACING_NEEDS = _FRAME_NEEDS | {"incoming", "moved"}  # and what is seen from along the normal
+# what reads the direction of rays, the width of their footprints, and where parts are placed
+_DIRECTED = {"incoming", "moved", "uv_footprint"}
+_WIDE = {"footprint", "moved", "uv_footprint"}
+_PLACED = {"world_from_part", "object_location", "tangent", "uv_footprint", "moved"}
 _LAYERS = ("uv", "uv_footprint", "tangent", "attribute", "instance_attribute")
+
+
+def told_by_hits(needs: frozenset[str]) -> bool:
+    """Whether `gather` knows all that `needs` names from hits: without frames, rays, or what is known of them."""
+    names = {need.partition(":")[0] for need in needs}
+    return names.isdisjoint(_FACING_NEEDS | _WIDE | set(_RAY_FIELDS) | {"ray_length", "camera_from_world"})
 
 
 def points_at(

@@ -226,6 +226,7 @@ def test_settings(registered):
         4,
     )
     assert (s.film_transparent, s.film_exposure, s.clamp_indirect, s.threads) == (True, 1.5, 10, 3)
+    assert s.processes  # there is no window
     assert s.passes == ("combined", "depth", "normal", "material_index")
 
 

@@ -24,7 +24,7 @@ TILES = [(x, y, x + 1, y + 1) for x in range(4) for y in range(3)]
 
 def results(work, tiles=TILES, apart=True, warnings=None):
     warnings = [] if warnings is None else warnings
-    with closing(finished_tiles(work, tiles, 2, apart, warnings)) as finished:
+    with closing(finished_tiles(work, tiles, 2, apart, warnings, threading.Event())) as finished:
         return [found for found in finished if found is not None]
 
 
@@ -64,20 +64,29 @@ def test_what_goes_wrong_in_a_tile_is_raised(apart):
 @forks
 def test_closing_ends_workers_at_once():
     began = time.monotonic()
-    with closing(finished_tiles(lambda bounds: time.sleep(60.0), TILES, 2, True, [])) as finished:
+    with closing(
+        finished_tiles(lambda bounds: time.sleep(60.0), TILES, 2, True, [], threading.Event())
+    ) as finished:
         assert next(finished) is None and len(active_children()) == 2
     assert not active_children() and time.monotonic() - began < 30.0
+
+
+def test_closing_lets_threads_look_at_stop():
+    stop = threading.Event()
+    with closing(finished_tiles(lambda bounds: stop.wait(60.0), TILES, 2, False, [], stop)) as finished:
+        assert next(finished) is None
+    assert stop.is_set()
 
 
 @forks
 def test_workers_end_with_their_parent():
     program = """
-import os, time
+import os, threading, time
 from pointmr_engine.image.tile_workers import finished_tiles
 def work(bounds):
     print(os.getpid(), flush=True)
     time.sleep(600.0)
-for _ in finished_tiles(work, [(0, 0, 1, 1), (1, 0, 2, 1)], 2, True, []):
+for _ in finished_tiles(work, [(0, 0, 1, 1), (1, 0, 2, 1)], 2, True, [], threading.Event()):
     pass
 """
     parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
