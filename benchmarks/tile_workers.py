@@ -32,8 +32,8 @@ def measure(name: str, o: argparse.Namespace) -> list[str]:
     scene, settings = export(name, o.size)
     settings = replace(settings, method="raytrace", raytrace=replace(settings.raytrace, cones=o.cones))
     ways = [
-        replace(settings, threads=1),
-        replace(settings, threads=o.threads),
+        replace(settings, threads=1, processes=False),
+        replace(settings, threads=o.threads, processes=False),
         replace(settings, threads=o.threads, processes=True),
     ]
     cache, best = Cache(), [np.inf] * len(ways)
