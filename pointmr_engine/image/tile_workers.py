@@ -8,6 +8,7 @@ meanwhile, and have an interpreter each (`python -m benchmarks.tile_workers` mea
 from __future__ import annotations
 
 import ctypes
+import gc
 import mmap
 import os
 import signal
@@ -113,6 +114,7 @@ def _begin(work: Callable) -> None:
     """A forked process starts: it leaves Ctrl-C to its parent, and ends with it."""
     global _work
     _work = work
+    gc.freeze()  # looking at what is shared would copy it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 

@@ -80,11 +80,11 @@ def test_closing_lets_threads_look_at_stop():
 
 @forks
 def test_workers_end_with_their_parent():
-    program = """
+    program = r"""
 import os, threading, time
 from pointmr_engine.image.tile_workers import finished_tiles
 def work(bounds):
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\n".encode())  # whole lines
     time.sleep(600.0)
 for _ in finished_tiles(work, [(0, 0, 1, 1), (1, 0, 2, 1)], 2, True, [], threading.Event()):
     pass
