@@ -393,11 +393,11 @@ class Workspace:
         else:
             rays = Rays(*(a[ray] for a in rays))
             frames(stage.shader.geometry, rays, hits, surface, 0, n)
-            self._veil_state(now, ray, np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n))
+            self._fill_veil_state(now, ray, np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n))
         share = stage.shader.transparency_at(rays, state, hits, surface, np.arange(n))
         return self.dim(waiting, taken, share)
 
-    def _veil_state(self, now, ray: np.ndarray, passed: np.ndarray) -> None:
+    def _fill_veil_state(self, now, ray: np.ndarray, passed: np.ndarray) -> None:
         """What the shadow rays `ray` (n,) tell surfaces, behind `passed` (n,) others."""
         state: RayState = self.veil_state
         n, source = len(ray), self.shadows.source[ray]
