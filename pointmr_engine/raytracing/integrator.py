@@ -393,7 +393,9 @@ class Workspace:
         else:
             rays = Rays(*(a[ray] for a in rays))
             frames(stage.shader.geometry, rays, hits, surface, 0, n)
-            self._fill_veil_state(now, ray, np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n))
+            self._fill_veil_state(
+                now, ray, np.repeat(passed - np.cumsum(taken) + taken, taken) + np.arange(n)
+            )
         share = stage.shader.transparency_at(rays, state, hits, surface, np.arange(n))
         return self.dim(waiting, taken, share)
 

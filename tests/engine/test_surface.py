@@ -10,6 +10,7 @@ from instanced import accelerate, cast, nest, random_mesh, random_transforms, sp
 
 from pointmr_engine.hierarchy.placements import placements
 from pointmr_engine.raytracing import surface
+from pointmr_engine.raytracing.frames import veil_frames
 from pointmr_engine.scene.group import CAMERA, Group, Instances, instance
 from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.mesh import Attribute, Mesh
@@ -111,6 +112,37 @@ def test_only_what_is_asked_for_is_filled():
             assert len(value) == (3 if field == "camera_from_world" else 1)
     with pytest.raises(KeyError, match="nonsense"):
         surface.gather(geometry, rays, hits, frames, index, frozenset(["nonsense"]), state)
+
+
+def test_what_hits_tell_takes_neither_rays_nor_frames():
+    geometry, rays, hits, frames = seen(Group("root", [quad()]), [0.5, 0.25, 1], [0, 0, -1])
+    state, index = surface.allocate_ray_state(1), np.arange(1)
+    told = frozenset(need for need in ALL if surface.told_by_hits(frozenset([need])))
+    assert {"uv:", "attribute:weight", "generated", "object_random", "world_from_part"} <= told
+    assert not {"position", "incoming", "uv_footprint:Map", "moved", "ray_kind", "ray_length"} & told
+    whole = surface.gather(geometry, rays, hits, frames, index, told, state)
+    nothing = surface.Frames(*(None for _ in frames))
+    alone = surface.gather(geometry, None, hits, nothing, index, told)
+    for name, value in vars(whole).items():
+        np.testing.assert_equal(getattr(alone, name), value)
+
+
+@settings(max_examples=20)
+@given(seeds)
+def test_veils_have_the_offsets_and_materials_of_frames(seed):
+    rng = np.random.default_rng(seed)
+    materials = tuple(Material(f"m{k}") for k in range(3))
+    mesh = random_mesh(
+        rng, 60, 2.0, materials=materials, material_index=rng.integers(0, 3, 60).astype(np.int32)
+    )
+    root = nest(rng, 2, Group("leaf", [mesh]))
+    geometry, _, hits, frames = seen(root, np.zeros(3), rng.normal(size=(300, 3)))
+    rows = np.flatnonzero(hits.triangle >= 0)
+    veils = surface.allocate_frames(len(rows))
+    met = hits._replace(**{name: column[rows] for name, column in zip(hits._fields, hits, strict=True)})
+    veil_frames(geometry, met, len(rows), veils)
+    np.testing.assert_array_equal(veils.offset, frames.offset[rows])
+    np.testing.assert_array_equal(veils.material, frames.material[rows])
 
 
 def _same(a, b) -> bool:
