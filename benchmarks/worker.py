@@ -11,18 +11,17 @@ import functools
 import importlib
 import json
 import os
-import resource
 import sys
 import time
 import traceback
 from collections.abc import Callable
 
-from pointmr_engine.image.tile_workers import most_memory
+from blender_addon.headless import peak_memory
 
 
 def peak_mb() -> float:
     """Peak resident memory of this process so far, and what its tile workers had of their own, in MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 + most_memory() / 2**20
+    return peak_memory() / 2**20
 
 
 def seconds(text: str) -> float:

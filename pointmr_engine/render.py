@@ -379,8 +379,8 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
                 clock.tell(float(done.sum()) / total)
 
     with _warm_lock:
-        alone = [] if _warm.is_set() else [tiles.pop(0)]
-        render(alone, False)
-        _warm.set()
+        if not _warm.is_set():
+            render([tiles.pop(0)], False)
+            _warm.set()
     render(tiles, apart)
     return film.result(), counters

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import resource
 import statistics
 import time
 from dataclasses import replace
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.forward.scenes import Flight
+from benchmarks.worker import peak_mb
 from pointmr_engine import ForwardSettings, Frame, RenderSettings, render
 from pointmr_engine.render import Cache
 
@@ -25,11 +25,6 @@ def settings(
     """Forward mapping with simple shading and no shadows, else as a user finds it; `forward`: settings of its own."""
     options = ForwardSettings(**{"shading": "simple", "shadows": False} | forward)
     return RenderSettings(width, height, method="forward", seed=seed, threads=threads, forward=options)
-
-
-def peak_mb() -> float:
-    """Largest memory of this process so far, in MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def timed(scene, chosen: RenderSettings, cache: Cache) -> tuple[float, float, Frame]:

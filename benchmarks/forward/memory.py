@@ -14,9 +14,10 @@ import sys
 from pathlib import Path
 
 from benchmarks.forward import scenes
-from benchmarks.forward.measuring import arguments, compile_kernels, peak_mb, settings, write
+from benchmarks.forward.measuring import arguments, compile_kernels, settings, write
 from benchmarks.report import command, markdown
 from benchmarks.sources import scenes_folder
+from benchmarks.worker import peak_mb
 from pointmr_engine import render
 from pointmr_engine.render import Cache
 

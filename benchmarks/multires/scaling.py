@@ -21,10 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.forward.measuring import growth, peak_mb
+from benchmarks.forward.measuring import growth
 from benchmarks.judge import size_of
 from benchmarks.methods import Method, parse_methods
 from benchmarks.report import command, markdown
+from benchmarks.worker import peak_mb
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = range(1, 10)  # 10^5 to 10^15 triangles, about

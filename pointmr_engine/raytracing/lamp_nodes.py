@@ -37,7 +37,7 @@ from pointmr_engine.raytracing.lamps import (
     sample_lamp,
 )
 from pointmr_engine.scene.light import Light
-from pointmr_engine.shading.points import SurfacePoints, add_missing_layers
+from pointmr_engine.shading.points import SurfacePoints, add_missing_layers, names_of
 from pointmr_engine.shading.program import compile_graph
 
 _FAR = np.finfo(np.float32).max  # metres to a sun
@@ -59,7 +59,7 @@ class LampNodes:
         self._lamps = Lamps(*(np.ascontiguousarray(column[index : index + 1]) for column in lamps))
         self._world_from_light = np.asarray(light.world_from_light, np.float64)[:3]
         self._linear = inverse_linear(self._world_from_light)  # the lamp's own space, from the world's
-        kinds = {need.partition(":")[0] for need in self._program.emission_needs}
+        kinds = names_of(self._program.emission_needs)
         shape = self._lamps.shape[0]
         told = _PLACES if shape == DISC else _PLACES | _COORDINATES
         self.patterned = bool(kinds & told) and shape not in (POINT, DISTANT)

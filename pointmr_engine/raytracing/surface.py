@@ -25,7 +25,7 @@ from pointmr_engine.raytracing.frames import (
 from pointmr_engine.raytracing.rays import Hits, Rays
 from pointmr_engine.scene.mesh import GENERATED
 from pointmr_engine.shading.footprint_mean import GRAZING
-from pointmr_engine.shading.points import RAY_DIFFUSE, RAY_REFLECTION, SurfacePoints
+from pointmr_engine.shading.points import RAY_DIFFUSE, RAY_REFLECTION, SurfacePoints, names_of
 from pointmr_engine.shading.values import cross
 
 __all__ = [
@@ -91,11 +91,9 @@ def gather(
     "tangent:NAME" ("" is the mesh's active layer), "attribute:NAME", "instance_attribute:NAME". `ray_state` may be left
     out when nothing of it is needed. Raises KeyError for a need that is not known.
     """
-    names = {need.partition(":")[0] for need in needs}
+    names = names_of(needs)
     read = {column for name in names for column in _FRAME_COLUMNS.get(name, ())}
-    chosen = Frames(
-        *(c[index] if name in read else None for name, c in zip(Frames._fields, frames, strict=True))
-    )
+    chosen = Frames(*(c[index] if n in read else None for n, c in zip(Frames._fields, frames, strict=True)))
     samples = samples_of(hits, index, placed=bool(names & _PLACED))
     direction = rays.direction[index] if names & _DIRECTED else None
     points = SurfacePoints(count=len(samples.part))
@@ -144,8 +142,9 @@ _LAYERS = ("uv", "uv_footprint", "tangent", "attribute", "instance_attribute")
 
 def told_by_hits(needs: frozenset[str]) -> bool:
     """Whether `gather` knows all that `needs` names from hits: without frames, rays, or what is known of them."""
-    names = {need.partition(":")[0] for need in needs}
-    return names.isdisjoint(_FACING_NEEDS | _WIDE | set(_RAY_FIELDS) | {"ray_length", "camera_from_world"})
+    return names_of(needs).isdisjoint(
+        _FACING_NEEDS | _WIDE | set(_RAY_FIELDS) | {"ray_length", "camera_from_world"}
+    )
 
 
 def points_at(
@@ -173,7 +172,7 @@ def points_at(
         np.ascontiguousarray(world_from_part, np.float64),
     )
     own, direction, distance = None, None, np.zeros(n, np.float32)
-    if viewer is not None or {need.partition(":")[0] for need in needs} & _FACING_NEEDS:
+    if viewer is not None or names_of(needs) & _FACING_NEEDS:
         own = allocate_frames(n)
         frames_of(geometry.tables, samples, np.zeros((0, 3)), own)
         if viewer is None:
@@ -361,7 +360,7 @@ def _mover(geometry, points, samples, every, direction, width):
         u, v = np.empty(len(offset)), np.empty(len(offset))
         move_weights(of, np.ascontiguousarray(offset, np.float64), there.u, there.v, u, v)
         there, frames_there = there._replace(u=u, v=v), None
-        if any(need.partition(":")[0] in _FRAME_NEEDS for need in rest):
+        if names_of(rest) & _FRAME_NEEDS:
             frames_there = allocate_frames(len(offset))
             frames_of(geometry.tables, there, towards, frames_there)
         _fill_surface(geometry, result, there, frames_there, rest, towards, wide)

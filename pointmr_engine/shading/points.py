@@ -74,6 +74,11 @@ class SurfacePoints:
         return replace(self, narrower=np.tile(by, self.count // len(by)))
 
 
+def names_of(needs: frozenset[str]) -> frozenset[str]:
+    """The names of needs without those of layers: "uv" of "uv:UVMap"."""
+    return frozenset(need.partition(":")[0] for need in needs)
+
+
 def add_missing_layers(points: SurfacePoints, needs: frozenset[str]) -> None:
     """Fill the layers and attributes that `needs` names with zeros where the points have none."""
     n = points.count

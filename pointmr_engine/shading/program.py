@@ -18,7 +18,7 @@ from pointmr_engine.shading.footprint_mean import NEEDS
 from pointmr_engine.shading.leaf_plan import LeafPlan
 from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION, Leaf
 from pointmr_engine.shading.nodes.registry import Call
-from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints, add_missing_layers
+from pointmr_engine.shading.points import RAY_CAMERA, SurfacePoints, add_missing_layers, names_of
 from pointmr_engine.shading.values import normalize
 
 PLACES = frozenset({"position", "local", "generated", "uv", "attribute", "window"})
@@ -223,12 +223,12 @@ class Program:
         self.transparency_needs: frozenset[str] = self._transparency_plan.needs
         self.shown_needs: frozenset[str] = self._shown_plan.needs
         self.emission_needs: frozenset[str] = self._emission_plan.needs
-        self.emission_placed: bool = bool(_names(self.emission_needs) & OF_PLACEMENT)
+        self.emission_placed: bool = bool(names_of(self.emission_needs) & OF_PLACEMENT)
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
         self.surface_only: bool = self.varying_with <= {"surface"}
         self.opaque: bool = not transparency
         self.unforeseen: bool = bool(self.transparency_needs & UNFORESEEN)
-        read = _names(self.transparency_needs | self.shown_needs)
+        read = names_of(self.transparency_needs | self.shown_needs)
         self.adds: bool = bool(self._shown)
         self.placed: bool = bool(read & (OF_PLACEMENT if "incoming" in read else OF_PLACEMENT | OF_ROTATION))
         self.faces: bool = bool(read & {"backfacing", "incoming"})
@@ -385,10 +385,6 @@ def evaluate_background(
     )
     add_missing_layers(points, program._emission_plan.needs)
     return program.emission(points)
-
-
-def _names(needs: frozenset[str]) -> frozenset[str]:
-    return frozenset(need.partition(":")[0] for need in needs)
 
 
 def _masked(steps) -> bool:

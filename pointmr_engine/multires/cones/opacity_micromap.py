@@ -15,6 +15,7 @@ from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, l
 from pointmr_engine.forward.drawing.cut_outs import lattices, part_materials
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
+from pointmr_engine.shading.points import names_of
 
 FINEST = 64  # cells along an edge at most: bits of a word
 COARSEST = 8  # below, cells that are like all their neighbours are too few to be worth it
@@ -126,8 +127,7 @@ def _to_know(geometry, programs: list, cut_outs) -> list[tuple]:
         mask, material = cut_outs.mask[cut_outs.first[part] :][:n], part_materials(geometry, part)
         for m in np.unique(material):
             program = programs[m]
-            reads = {need.partition(":")[0] for need in program.transparency_needs}
-            if program.opaque or not reads <= _OWN:
+            if program.opaque or not names_of(program.transparency_needs) <= _OWN:
                 continue
             own = np.flatnonzero((material == m) & (mask >= 0))
             own = own[worth[mask[own]]]
