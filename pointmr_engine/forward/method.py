@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
 from functools import cached_property
+from time import thread_time
 
 import numpy as np
 
@@ -30,8 +31,8 @@ from pointmr_engine.hierarchy.sample_sets import SampleSets
 from pointmr_engine.image.frame import Frame
 from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes
 from pointmr_engine.raytracing.camera import CameraArrays
+from pointmr_engine.raytracing.compile_lamps import compile_lamps
 from pointmr_engine.raytracing.environment import Environment
-from pointmr_engine.raytracing.lamps import compile_lamps
 from pointmr_engine.raytracing.lamps_in_view import LampsInView
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
@@ -58,6 +59,7 @@ class Sampler:
         self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
         self.warm = False  # an image has been rendered: what its tiles ask for is there
         self.sets: dict[tuple, SampleSets] = {}
+        self.seconds: dict[tuple, float] = {}  # of a core, that each tile of the last image took
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
 
@@ -67,7 +69,7 @@ class Sampler:
         other.geometry = geometry
         other.emissive_lamps = emissive_lamps(geometry, self.programs)
         other.prefiltered = other.lights = None
-        other._spaces, other._lock = {}, threading.Lock()
+        other.seconds, other._spaces, other._lock = {}, {}, threading.Lock()
         return other
 
     def space(self, image: Image) -> Workspace:
@@ -268,26 +270,28 @@ def render_image(
     counters: Counter = Counter(image.drawn.counts if image.drawn is not None else {})
     spaces: list[Workspace] = []  # that no thread uses
     total, left, missing, stop = len(tiles), set(tiles), [], threading.Event()
+    before, seconds = sampler.seconds, {}
 
     def work(bounds):
+        begun = thread_time()
         try:
             space = spaces.pop()
         except IndexError:
             space = sampler.space(image)
-        before, hierarchy = _counts(space), image.hierarchy()
+        counts, hierarchy = _counts(space), image.hierarchy()
         found = space.draw(bounds, hierarchy)
         if found is None:
             found = space.shade(bounds, hierarchy, frame)
         counted = _counts(space)
-        counted.subtract(before)
+        counted.subtract(counts)
         spaces.append(space)
-        return bounds, found, counted
+        return bounds, found, counted, thread_time() - begun
 
     def render(tiles, apart):
         with closing(finished_tiles(work, tiles, threads, apart, frame.warnings, stop)) as finished:
             for tile in finished:
                 if tile is not None:
-                    bounds, found, counted = tile
+                    bounds, found, counted, seconds[tile[0]] = tile
                     counters.update(counted)
                     if found is None:
                         left.discard(bounds)
@@ -300,7 +304,8 @@ def render_image(
 
     try:
         while left:
-            tiles, missing = sorted(left), []
+            # longest first, as the last image had them, or cores would wait for one that began last
+            tiles, missing = sorted(left, key=lambda bounds: (-before.get(bounds, 0.0), bounds)), []
             # one alone: numba's dispatchers must not meet new types on two threads at once, and what it asks to be made
             # for all the image, processes would have to make one by one
             if not _warm.is_set() or (apart and not sampler.warm):
@@ -314,6 +319,7 @@ def render_image(
                 sampler.warm = True
     finally:
         image.finish()
+    sampler.seconds = seconds
     sampler.keep(image, spaces)
     return counters
 

@@ -14,9 +14,10 @@ from pointmr_engine.multires.cones.cone_walk import visible
 from pointmr_engine.multires.cones.cones import Cones
 from pointmr_engine.multires.lens.lens import refracts, sharpest
 from pointmr_engine.multires.sharing.world_rays import WORTH
-from pointmr_engine.raytracing.emitters import sampled_sides
+from pointmr_engine.raytracing.compile_lamps import compile_lamps
+from pointmr_engine.raytracing.emitter_search import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
-from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, TAN_SPREAD, compile_lamps
+from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, TAN_SPREAD
 from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
 
 # shadow rays of a fragment to the world, to emitters, to one of many lights

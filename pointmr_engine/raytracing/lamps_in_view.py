@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.raytracing.compile_lamps import compile_lamps
 from pointmr_engine.raytracing.lamp_nodes import lamp_nodes
 from pointmr_engine.raytracing.lamps import (
     AX,
@@ -22,7 +23,6 @@ from pointmr_engine.raytracing.lamps import (
     RADIUS,
     RECTANGLE,
     SUN,
-    compile_lamps,
     intersect_lamp,
     lamp_pdf_scale,
 )

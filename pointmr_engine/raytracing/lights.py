@@ -14,10 +14,11 @@ import numpy as np
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements
 from pointmr_engine.raytracing import light_sampling as kernels
-from pointmr_engine.raytracing.emitters import find_emitters, sampled_sides
+from pointmr_engine.raytracing.compile_lamps import compile_lamps
+from pointmr_engine.raytracing.emitter_search import find_emitters, sampled_sides
 from pointmr_engine.raytracing.environment import ABOVE, UNIFORM, Environment
 from pointmr_engine.raytracing.lamp_nodes import LampNodes, lamp_nodes
-from pointmr_engine.raytracing.lamps import DISTANT, POINT, Lamps, compile_lamps
+from pointmr_engine.raytracing.lamps import DISTANT, POINT, Lamps
 from pointmr_engine.raytracing.light_sampling import (
     LAMP,
     NONE,

@@ -126,9 +126,9 @@ def test_degenerate_triangles_do_not_shine():
 
 
 def test_more_emitters_than_the_limit(monkeypatch):
-    from pointmr_engine.raytracing import emitters
+    from pointmr_engine.raytracing import emitter_search
 
-    monkeypatch.setattr(emitters, "MOST_EMITTERS", 10)
+    monkeypatch.setattr(emitter_search, "MOST_EMITTERS", 10)
     lights = lights_of(
         instances=[instance(Group("g", [quad(radiance=2.0)]), placed((k, 0.0, 1.0))) for k in range(9)]
     )

@@ -16,7 +16,8 @@ from pointmr_engine.multires.cones.lamp_cones import (
     lamp_cones,
     take_shares,
 )
-from pointmr_engine.raytracing.lamps import compile_lamps, intersect_lamp
+from pointmr_engine.raytracing.compile_lamps import compile_lamps
+from pointmr_engine.raytracing.lamps import intersect_lamp
 
 KINDS = {
     "square": {"kind": "AREA", "shape": "SQUARE", "size_x": 1.0},

@@ -132,6 +132,25 @@ def test_processes_render_what_threads_do(method, monkeypatch):
     assert max(told) == 1.0 and most_memory() > 0
 
 
+def test_tiles_that_took_longest_begin_first():
+    scene, cache, begun = lit_floor(), Cache(), []
+    settings = RenderSettings(200, 150, method="raytrace", passes=("combined",), threads=1)
+
+    def told(fraction, text, tile):
+        if tile is not None:
+            begun.append((tile.x, tile.y))
+
+    render(scene, settings, cache=cache)
+    sampler = cache.find(scene, True).sampler
+    assert len(sampler.seconds) > 4 and min(sampler.seconds.values()) > 0.0
+    for sign in (1, -1):
+        places = sorted(sampler.seconds)
+        sampler.seconds = {bounds: sign * k for k, bounds in enumerate(places)}
+        begun.clear()
+        render(scene, settings, told, cache)
+        assert begun == [bounds[:2] for bounds in places[::-sign]]
+
+
 @forks
 def test_a_cancelled_image_leaves_no_process():
     settings = RenderSettings(200, 150, method="distributed", samples=16, threads=2, processes=True)

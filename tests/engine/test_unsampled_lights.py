@@ -8,7 +8,7 @@ import pytest
 from pointmr_engine import Group, Material, Mesh, Scene, principled, uniform_world
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.multires.cone_light import sampled_lights
-from pointmr_engine.raytracing.emitters import find_emitters
+from pointmr_engine.raytracing.emitter_search import find_emitters
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, SHADOW, VISIBLE, instance

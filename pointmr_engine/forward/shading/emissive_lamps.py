@@ -11,7 +11,8 @@ import math
 import numpy as np
 
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.raytracing.emitters import BACK, FRONT, find_emitters
+from pointmr_engine.raytracing.emitter_search import find_emitters
+from pointmr_engine.raytracing.emitters import BACK, FRONT
 from pointmr_engine.scene.light import Light
 
 MOST = 16  # lamps
