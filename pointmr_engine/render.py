@@ -186,6 +186,7 @@ class _Clock:
 def _compile_surfaces(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
     """Geometry and materials, which every method needs."""
     from pointmr_engine.hierarchy.geometry import compile_geometry
+    from pointmr_engine.hierarchy.layers import even_layers
     from pointmr_engine.scene.material import Material
     from pointmr_engine.shading.program import compile_graph
 
@@ -198,8 +199,12 @@ def _compile_surfaces(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
         geometry, warnings = displaced(geometry)
     plain = Material("no material")
     programs = []
-    for material in geometry.materials:
-        program = compile_graph((material or plain).surface_graph, filtered=filtered)
+    for index, material in enumerate(geometry.materials):
+        graph = (material or plain).surface_graph
+        program = compile_graph(graph, filtered=filtered)
+        even = even_layers(geometry, index, program.fine_reads | program.normal_reads)
+        if even:
+            program = compile_graph(graph, filtered=filtered, even=even)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
     return Compiled(geometry, programs, None, None, None, warnings)

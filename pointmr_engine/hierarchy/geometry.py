@@ -145,6 +145,21 @@ def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
     return geometry
 
 
+def slot_materials(geometry: Geometry, part: int) -> np.ndarray:
+    """(S,) int32: the materials of a part's slots, as indices into Geometry.materials."""
+    tables = geometry.tables
+    first = int(tables.first_slot[part])
+    return np.asarray(tables.slot_material[first : first + int(tables.slots[part])])
+
+
+def triangle_materials(geometry: Geometry, part: int) -> np.ndarray:
+    """(T,) int32: the material of each of a part's triangles, as an index into Geometry.materials."""
+    mesh, slots = geometry.parts[part], slot_materials(geometry, part)
+    if mesh.material_index is None:
+        return np.full(len(mesh.triangles), slots[0], np.int32)
+    return slots[np.clip(mesh.material_index, 0, len(slots) - 1)].astype(np.int32)
+
+
 def with_parts(geometry: Geometry, parts: list[Mesh]) -> Geometry:
     """The same scene with other meshes in the places of its parts, of as many triangles and the same materials."""
     made = replace(geometry, parts=parts, shapes=[], materials=[], kept=list(geometry.kept), layers={})

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from pointmr_engine.hierarchy.geometry import Geometry, slot_materials, triangle_materials
 from pointmr_engine.hierarchy.tangents import corner_tangents
 from pointmr_engine.hierarchy.triangle_prefetch import INDICES, VERTICES, prefetch_indices
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.pointers import address_of, load_i32, pointer_f32, pointer_i32, prefetch
 from pointmr_engine.scene.mesh import Mesh
 
-if TYPE_CHECKING:
-    from pointmr_engine.hierarchy.geometry import Geometry
-
 NONE, VERTEX, CORNER, FACE, CONSTANT = range(5)
+FIRST_LOOK = 1 << 10  # triangles, before all
 _DOMAINS = {"vertex": VERTEX, "corner": CORNER, "face": FACE, "constant": CONSTANT}
 
 
@@ -68,6 +68,32 @@ def layer(geometry: Geometry, kind: str, name: str) -> Layer:
                     found.channels[part] = values.shape[1]
             geometry.layers[kind, name] = found
     return found
+
+
+def even_layers(geometry: Geometry, material: int, needs: Iterable[str]) -> frozenset[str]:
+    """Those of `needs` ("attribute:NAME") that have one value all over each triangle of a material.
+
+    material: an index into Geometry.materials.
+    """
+    found = frozenset(need for need in needs if need.startswith("attribute:"))
+    for part in range(len(geometry.parts)):
+        if found and (slot_materials(geometry, part) == material).any():
+            own = np.flatnonzero(triangle_materials(geometry, part) == material)
+            found = frozenset(n for n in found if _is_even(geometry, part, own, n.partition(":")[2]))
+    return found
+
+
+def _is_even(geometry: Geometry, part: int, triangles: np.ndarray, name: str) -> bool:
+    values, domain = _source(geometry, part, "attribute", name)
+    if domain not in (VERTEX, CORNER):
+        return True
+    mesh = geometry.parts[part]
+    for own in np.split(triangles, [FIRST_LOOK]):  # most that differ do so early
+        rows = mesh.triangles[own] if domain == VERTEX else 3 * own[:, None] + np.arange(3)
+        corners = values[rows]
+        if not (corners == corners[:, :1]).all():
+            return False
+    return True
 
 
 @device

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.geometry import Geometry, slot_materials, triangle_materials
 from pointmr_engine.hierarchy.placements import Placements, placements
 from pointmr_engine.raytracing.emitters import BACK, FRONT, Emitters, pack_emitters
 from pointmr_engine.raytracing.surface import emitting_points
@@ -125,8 +125,8 @@ def _sides(geometry: Geometry, programs: list, every: bool) -> list[int]:
         return wanted
     counts = np.zeros(len(geometry.parts), np.int64)
     for part in range(len(geometry.parts)):
-        if left[_slots(geometry, part)].any():
-            counts[part] = left[_materials(geometry, part)].sum()
+        if left[slot_materials(geometry, part)].any():
+            counts[part] = left[triangle_materials(geometry, part)].sum()
     places = placements(geometry, counts > 0, MOST_LEFT + 1)
     return all_ if counts[places.part].sum() <= MOST_LEFT else wanted
 
@@ -142,9 +142,9 @@ class _PartEmitters(NamedTuple):
 
 
 def _part_emitters(geometry: Geometry, part: int, sides: np.ndarray) -> _PartEmitters | None:
-    if not sides[_slots(geometry, part)].any():
+    if not sides[slot_materials(geometry, part)].any():
         return None
-    shape, material = geometry.shapes[int(geometry.tables.shape[part])], _materials(geometry, part)
+    shape, material = geometry.shapes[int(geometry.tables.shape[part])], triangle_materials(geometry, part)
     chosen = np.flatnonzero(sides[material] > 0)
     vertices = shape.positions[shape.triangles[chosen]].astype(np.float64) + shape.center
     cross = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
@@ -157,21 +157,6 @@ def _part_emitters(geometry: Geometry, part: int, sides: np.ndarray) -> _PartEmi
     outside = _outside(shape.positions, shape.triangles)
     triangles = (chosen + shape.first_triangle).astype(np.int32)
     return _PartEmitters(triangles, vertices, sides[material[chosen]], material[chosen], outside)
-
-
-def _slots(geometry: Geometry, part: int) -> np.ndarray:
-    """The materials of a part's slots."""
-    tables = geometry.tables
-    first = int(tables.first_slot[part])
-    return np.asarray(tables.slot_material[first : first + int(tables.slots[part])])
-
-
-def _materials(geometry: Geometry, part: int) -> np.ndarray:
-    """(n,) int32: the material of each of a part's triangles."""
-    mesh, slots = geometry.parts[part], _slots(geometry, part)
-    if mesh.material_index is None:
-        return np.full(len(geometry.shapes[int(geometry.tables.shape[part])].triangles), slots[0], np.int32)
-    return slots[np.clip(mesh.material_index, 0, len(slots) - 1)].astype(np.int32)
 
 
 def _outside(positions: np.ndarray, triangles: np.ndarray) -> float:

@@ -105,10 +105,10 @@ def _is_image(step: Step) -> bool:
     return step.type.footprint is not None
 
 
-def _is_place(step: Step) -> bool:
-    """Whether it reads what differs from place to place of a footprint."""
+def _is_place(step: Step, even: frozenset[str]) -> bool:
+    """Whether it reads what differs from place to place of a footprint; even: attributes that do not."""
     return any(
-        need.partition(":")[0] in PLACES
+        need.partition(":")[0] in PLACES and need not in even
         for need in step.type.reads(step.params, frozenset(step.type.outputs))
     )
 
@@ -117,19 +117,22 @@ def _is_stepped(step: Step) -> bool:
     return step.type.stepped is not None and step.type.stepped(step.params)
 
 
-def fine_slots(steps: list[Step], leaves: list[LeafPlan], opaque: bool) -> tuple[list[Slot], list[Slot]]:
+def fine_slots(
+    steps: list[Step], leaves: list[LeafPlan], opaque: bool, even: frozenset[str]
+) -> tuple[list[Slot], list[Slot]]:
     """The sources of columns that fine nodes decide, and of normals that fine nodes or images do.
 
     A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it,
     which is worth telling from their mean where lobes may be sharp. Steps that coordinates are cut into are fine, and
-    images that jump, of `opaque` materials: beside a hole, means would show what is not there.
+    images that jump, of `opaque` materials: beside a hole, means would show what is not there. What reads nothing but
+    what is `even` on triangles, a leaf's random number, say, is not.
     """
-    placed = _decided(steps, [_is_place(step) for step in steps], through=True)
+    placed = _decided(steps, [_is_place(step, even) for step in steps], through=True)
     fine = [
-        step.type.fine or (at and _is_stepped(step) and (opaque or not _is_image(step)))
+        at and (step.type.fine or (_is_stepped(step) and (opaque or not _is_image(step))))
         for step, at in zip(steps, placed, strict=True)
     ]
-    bends = [step.type.fine or _is_image(step) for step in steps]
+    bends = [(at and step.type.fine) or _is_image(step) for step, at in zip(steps, placed, strict=True)]
     bent = _decided(steps, bends, through=True)
     sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
     normals = [s for leaf in sharp for name, s in leaf.normals.items() if name != "tangent"]
@@ -187,8 +190,15 @@ class Program:
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
     """
 
-    def __init__(self, kind: str, flat: Flat, filtered: bool = False, unfiltered: Flat | None = None) -> None:
-        """unfiltered: `flat` without footprints, where it has them."""
+    def __init__(
+        self,
+        kind: str,
+        flat: Flat,
+        filtered: bool = False,
+        unfiltered: Flat | None = None,
+        even: frozenset[str] = frozenset(),
+    ) -> None:
+        """unfiltered: `flat` without footprints, where it has them; even: see compile_graph."""
         steps, leaves, transparency, emission, _, warnings = flat
         unfiltered = unfiltered or flat
         self.kind = kind
@@ -203,7 +213,7 @@ class Program:
         self._shown_plan = Plan(unfiltered.steps, self._shown)
         self._emission_plan = Plan(steps, emission)
         columns, normals = (
-            fine_slots(steps, leaves, not transparency) if filtered and kind == "surface" else ([], [])
+            fine_slots(steps, leaves, not transparency, even) if filtered and kind == "surface" else ([], [])
         )
         self._fine_plan = Plan(steps, columns)
         self._fine_names = {(s.step, s.output) for s in columns}
@@ -323,15 +333,18 @@ def _fill(leaf: LeafPlan, memo: dict[tuple[int, str], np.ndarray]) -> Leaf:
     return Leaf(leaf.kind, block, distribution=leaf.distribution, **normals)
 
 
-def compile_graph(graph: Graph, kind: str = "surface", filtered: bool = True) -> Program:
+def compile_graph(
+    graph: Graph, kind: str = "surface", filtered: bool = True, even: frozenset[str] = frozenset()
+) -> Program:
     """Compile a material ("surface"), world ("background") or lamp ("light") graph. Never raises for odd nodes.
 
     filtered: images are averaged over the ray's footprint. Without, they are read at the point: right where many rays
-    share a pixel, whose mean is then the filter, after shading instead of before.
+    share a pixel, whose mean is then the filter, after shading instead of before. even: of what it needs, what has one
+    value all over each triangle (hierarchy.layers.even_layers): textures of that alone are not averaged.
     """
     flat = flatten(graph, kind, filtered)
     unfiltered = flatten(graph, kind, False) if filtered and flat.transparency else None
-    return Program(kind, flat, filtered, unfiltered)
+    return Program(kind, flat, filtered, unfiltered, even)
 
 
 def evaluate_background(

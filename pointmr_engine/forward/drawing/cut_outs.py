@@ -28,7 +28,7 @@ from pointmr_engine.forward.drawing.draw import piece_to_tile
 from pointmr_engine.forward.drawing.near_clip import clip, corners_of_piece
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.forward.drawing.targets import put_cut_out
-from pointmr_engine.hierarchy.geometry import Geometry
+from pointmr_engine.hierarchy.geometry import triangle_materials
 from pointmr_engine.numerics.jit import device
 
 SAMPLES = 8_000_000  # at most, over all triangles that differ
@@ -89,7 +89,7 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
         n = len(mesh.triangles)
         if not n:
             continue
-        material = part_materials(geometry, part)
+        material = triangle_materials(geometry, part)
         if all(programs[m].opaque for m in np.unique(material)):
             continue
         mask = np.full(n, -1, np.int32)
@@ -161,14 +161,6 @@ def _without_even(
     key = np.where(even >= 0, even, (1 << 16) + np.arange(len(which)))
     _, first, shared = np.unique(key, return_index=True, return_inverse=True)
     return which[first], shared.ravel()
-
-
-def part_materials(geometry: Geometry, part: int) -> np.ndarray:
-    """(n,) int32 index of the material of each of a part's triangles."""
-    n = len(geometry.parts[part].triangles)
-    material = np.empty(n, np.int32)
-    materials_of(geometry.tables, np.full(n, part, np.int32), np.arange(n, dtype=np.int32), material)
-    return material
 
 
 def look_where_opaque(

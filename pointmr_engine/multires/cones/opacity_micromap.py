@@ -12,9 +12,10 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
-from pointmr_engine.forward.drawing.cut_outs import lattices, part_materials
+from pointmr_engine.forward.drawing.cut_outs import lattices
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
+from pointmr_engine.hierarchy.geometry import triangle_materials
 from pointmr_engine.shading.points import names_of
 
 FINEST = 64  # cells along an edge at most: bits of a word
@@ -124,7 +125,7 @@ def _to_know(geometry, programs: list, cut_outs) -> list[tuple]:
         if cut_outs.first[part] < 0:
             continue
         n = len(mesh.triangles)
-        mask, material = cut_outs.mask[cut_outs.first[part] :][:n], part_materials(geometry, part)
+        mask, material = cut_outs.mask[cut_outs.first[part] :][:n], triangle_materials(geometry, part)
         for m in np.unique(material):
             program = programs[m]
             if program.opaque or not names_of(program.transparency_needs) <= _OWN:
