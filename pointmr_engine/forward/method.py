@@ -270,7 +270,7 @@ def render_image(
     counters: Counter = Counter(image.drawn.counts if image.drawn is not None else {})
     spaces: list[Workspace] = []  # that no thread uses
     total, left, missing, stop = len(tiles), set(tiles), [], threading.Event()
-    before, seconds = sampler.seconds, {}
+    seconds: dict[tuple, float] = {}  # of a core, by tile
 
     def work(bounds):
         begun = thread_time()
@@ -278,12 +278,12 @@ def render_image(
             space = spaces.pop()
         except IndexError:
             space = sampler.space(image)
-        counts, hierarchy = _counts(space), image.hierarchy()
+        before, hierarchy = _counts(space), image.hierarchy()
         found = space.draw(bounds, hierarchy)
         if found is None:
             found = space.shade(bounds, hierarchy, frame)
         counted = _counts(space)
-        counted.subtract(counts)
+        counted.subtract(before)
         spaces.append(space)
         return bounds, found, counted, thread_time() - begun
 
@@ -305,7 +305,7 @@ def render_image(
     try:
         while left:
             # longest first, as the last image had them, or cores would wait for one that began last
-            tiles, missing = sorted(left, key=lambda bounds: (-before.get(bounds, 0.0), bounds)), []
+            tiles, missing = sorted(left, key=lambda tile: (-sampler.seconds.get(tile, 0.0), tile)), []
             # one alone: numba's dispatchers must not meet new types on two threads at once, and what it asks to be made
             # for all the image, processes would have to make one by one
             if not _warm.is_set() or (apart and not sampler.warm):

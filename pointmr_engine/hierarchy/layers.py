@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pointmr_engine.hierarchy.geometry import Geometry, slot_materials, triangle_materials
+from pointmr_engine.hierarchy.geometry import Geometry, triangle_materials
 from pointmr_engine.hierarchy.tangents import corner_tangents
 from pointmr_engine.hierarchy.triangle_prefetch import INDICES, VERTICES, prefetch_indices
 from pointmr_engine.numerics.jit import device
@@ -76,10 +76,12 @@ def even_layers(geometry: Geometry, material: int, needs: Iterable[str]) -> froz
     material: an index into Geometry.materials.
     """
     found = frozenset(need for need in needs if need.startswith("attribute:"))
-    for part in range(len(geometry.parts)):
-        if found and (slot_materials(geometry, part) == material).any():
-            own = np.flatnonzero(triangle_materials(geometry, part) == material)
-            found = frozenset(n for n in found if _is_even(geometry, part, own, n.partition(":")[2]))
+    if not found:
+        return found
+    slots = np.flatnonzero(geometry.tables.slot_material == material)
+    for part in np.unique(np.searchsorted(geometry.tables.first_slot, slots, side="right") - 1):
+        own = np.flatnonzero(triangle_materials(geometry, part) == material)
+        found = frozenset(n for n in found if _is_even(geometry, part, own, n.partition(":")[2]))
     return found
 
 

@@ -17,10 +17,10 @@ SIDE = 6  # squares along an edge
 NEED = "attribute:leaf"
 
 
-def checks(need="leaf") -> Graph:
+def checks() -> Graph:
     """An emission of checks that look up an attribute instead of a place."""
     nodes = {
-        "a": Node("attribute", params={"name": need}),
+        "a": Node("attribute", params={"name": "leaf"}),
         "t": Node(
             "checker_texture", {"vector": Link("a", "vector"), "scale": 1.0, "color1": WHITE, "color2": BLACK}
         ),
