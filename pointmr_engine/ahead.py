@@ -13,6 +13,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,15 @@ def _card(name: str, size: float, material, z: float = 0.0) -> Mesh:
     return _mesh(name, corners, [(0, 1, 2), (0, 2, 3)], material)
 
 
+def _bead(size: float, material, z: float) -> Mesh:
+    """A smooth ball of eight triangles: behind so small a one of glass, rays see lamps blurred."""
+    corners = np.float32([(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
+    sides = [(k, (k + 1) % 4, top) for k in range(4) for top in (4, 5)]
+    triangles = [(a, b, c) if c == 4 else (b, a, c) for a, b, c in sides]
+    bead = _mesh("bead", size * corners + np.float32((0.5, -2.0, z)), triangles, material)
+    return replace(bead, normals=corners)
+
+
 def _grains(material) -> Group:
     """A cloud of triangles that no view shows one by one."""
     rng = np.random.default_rng(1)
@@ -92,6 +102,7 @@ def scenes() -> Iterator[Scene]:
         floor,
         _card("glossy", 1.0, glossy, 1.0),
         _card("glass", 0.7, glass, 2.0),
+        _bead(0.5, glass, 1.0),
         _card("veil", 0.7, veil, 1.5),
         _card("metal", 0.5, metal, 0.5),
     ]

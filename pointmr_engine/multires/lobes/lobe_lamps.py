@@ -42,20 +42,19 @@ def finds_lamps(paths: Paths, lobes: LobeCones, m):
 
 
 @device
-def _may_lie_in(lamps, lamp, c, k):
-    """Whether a lamp may lie in cone k: by the balls about both."""
+def may_lie_in(lamps, lamp, origin, axis, half):
+    """Whether a lamp may lie in a cone of half an angle `half` about a unit axis: by the balls about both."""
     row, shape = lamps.values[lamp], lamps.shape[lamp]
     if shape == SUN:
         return True
-    x, y, z = row[PX] - c.origin[k, 0], row[PY] - c.origin[k, 1], row[PZ] - c.origin[k, 2]
+    x, y, z = row[PX] - origin[0], row[PY] - origin[1], row[PZ] - origin[2]
     wide = row[RADIUS]
     if shape == RECTANGLE or shape == ELLIPSE:
         wide = math.sqrt(row[HALF_U] * row[HALF_U] + row[HALF_V] * row[HALF_V])
     far = math.sqrt(x * x + y * y + z * z)
     if not far > wide:
         return True
-    along = (x * c.axes[k, 2, 0] + y * c.axes[k, 2, 1] + z * c.axes[k, 2, 2]) / far
-    half = math.atan(math.sqrt(c.spread[k, 0] ** 2 + c.spread[k, 1] ** 2))
+    along = (x * axis[0] + y * axis[1] + z * axis[2]) / far
     return math.acos(min(max(along, -1.0), 1.0)) <= 1.001 * (half + math.asin(wide / far))
 
 
@@ -141,12 +140,14 @@ def lamps_in_cones(
         towards[k, 0] = towards[k, 1] = towards[k, 2] = 0.0
         if not finds_lamps(paths, lobes, k):
             continue
-        count = np.int64(0)
+        c, count = lobes.cones, np.int64(0)
+        origin, axis = row3(c.origin, k), row3(c.axes[k], 2)
+        half = math.atan(math.sqrt(c.spread[k, 0] ** 2 + c.spread[k, 1] ** 2))
         for i in range(len(met)):
             lamp = np.int64(met[i])
             shown = lamps.mis[lamp] and not lamps.varying[lamp]
             shown = shown and lamps.visibility[lamp] & lobes.cones.visibility[k]
-            if shown and _may_lie_in(lamps, lamp, lobes.cones, np.int64(k)):
+            if shown and may_lie_in(lamps, lamp, origin, axis, half):
                 near[count] = lamp
                 count += 1
         if count == 0:

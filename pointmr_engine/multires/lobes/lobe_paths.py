@@ -88,6 +88,7 @@ def no_cone(record, m, alpha):
     """Row m of the cones is a ray, of what kind `alpha` says (lobe_view)."""
     record.alpha[m] = alpha
     record.part[m] = 0
+    record.blur[m] = 0.0
     record.cones.t_min[m] = record.cones.t_max[m] = 0.0
     for c in range(3):
         record.behind[m, c] = 1

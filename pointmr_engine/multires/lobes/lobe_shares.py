@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.lobes.lobe_view import inverse_ior, lobe_pdf, refracted_pdf, refraction
+from pointmr_engine.multires.lobes.mirror_chains import blurs_lamps
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
 from pointmr_engine.shading.bsdf.layout import (
@@ -137,9 +138,10 @@ def bend_mirrors(lobes, variance, alpha, count):
 
 
 @uncounted
-def keep_lobes(lobes, alpha, integrated, count):
-    """Drop the lobes of points 0..count that only cones can follow: perfect mirrors and clear glass.
+def keep_lobes(lobes, alpha, chaos, integrated, count):
+    """Drop the lobes of points 0..count that only cones can follow: perfect mirrors, clear glass, and chaotic glass.
 
+    chaos (N,): as of mirror_chains.follow_footprints.
     alpha (N, L, 2): their roughness as lobe_light.widen_by_normals and `bend_mirrors` left it; integrated (N, L): see
     scatter_lobes.
     """
@@ -149,6 +151,8 @@ def keep_lobes(lobes, alpha, integrated, count):
             kind = lobes.kind[k, j]
             rough = np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1])
             if kind & SINGULAR_LOBE and rough <= SINGULAR_ALPHA_SQUARED:
+                continue
+            if blurs_lamps(kind, math.sqrt(rough), np.float64(chaos[k])):
                 continue
             if kept != j:
                 lobes.kind[k, kept] = kind

@@ -43,6 +43,7 @@ class LobeCones(NamedTuple):
     weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
     ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
     rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
+    blur: np.ndarray  # (N,) float32: of mirrors and clear glass, half the angle over which they blur lamps
     behind: np.ndarray  # (N, 3) float32: of rays, factors of what surfaces reflect (lobe_rays.behind_glossy)
     beckmann: np.ndarray  # (N,) bool: whose slopes are as a Gaussian has them, and not as GGX
     even: (
@@ -61,6 +62,7 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
         np.zeros(n, np.int8),
         np.empty((n, 64), f),
         np.zeros(n, np.bool_),
+        np.zeros(n, f),
         np.zeros(n, f),
         np.ones((n, 3), f),
         np.zeros(n, np.bool_),
@@ -307,13 +309,14 @@ def follow_cones(
     hits,
     alpha,
     behind,
+    blur,
     around,
 ):
     """Paths for what the cones of paths 0..n see, into out; returns (rows of hits, of escapes, of straight rays).
 
     fragments: count rows of cone_hits.gather, whose rays and hits are rows 0..count of out.rays and hits already. alpha
     (M,) float32: roughness of what is left of the lobe in each row; of what is met, `around` times its part. behind
-    (M, 3) float32: LobeCones.behind of each row. Straight rays have yet to be walked.
+    (M, 3) float32: LobeCones.behind of each row; blur (M,) float32: its blur. Straight rays have yet to be walked.
     """
     for r in range(count):
         k = np.int64(fragments.cone[r])
@@ -327,6 +330,7 @@ def follow_cones(
         out.state.spread[r] += 2.0 * a * share
         # the sub-ray that met it was chosen within the lobe, as a ray is
         alpha[r] = around * a * share
+        blur[r] = lobes.blur[k]
     m = np.int64(count)
     for k in range(n):
         if lobes.alpha[k] < 0 or escaped[k] == np.uint64(0) or m >= room:
@@ -338,6 +342,7 @@ def follow_cones(
         copy_ray(paths.rays, np.int64(k), out.rays, m)
         out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = x, y, z
         alpha[m] = lobes.alpha[k] * math.sqrt(min(weight / _whole(lobes, np.int64(k)), 1.0))
+        blur[m] = lobes.blur[k]
         hits.triangle[m] = -1
         hits.t[m] = math.inf
         m += 1
@@ -349,6 +354,7 @@ def follow_cones(
             copy_ray(paths.rays, np.int64(k), out.rays, m)
             for c in range(3):
                 behind[m, c] = lobes.behind[k, c]
+            blur[m] = lobes.blur[k]
             sharp = np.int64(paths.state.kind[k]) & (RAY_CAMERA | RAY_SINGULAR) != 0
             alpha[m] = 0.0 if sharp else _NEARLY_SHARP
             if lobes.alpha[k] == WITHIN_LOBE:

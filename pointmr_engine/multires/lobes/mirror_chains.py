@@ -2,7 +2,8 @@
 
 A ray has no width. Behind several bent surfaces it stands for much of what is around, and where such a ray met a lamp
 by chance, a pixel would be far too bright: so the last of these mirrors is as rough as its footprint is wide, and light
-samples find the lamp in it (regularised paths: Kaplanyan and Dachsbacher 2013).
+samples find the lamp in it (regularised paths: Kaplanyan and Dachsbacher 2013). Glass shows what is behind it as it is,
+and lamps alone blurred (blurred_lamps.py).
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ import numpy as np
 
 from pointmr_engine.multires.fragments.curvature import bend_at
 from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.raytracing.paths import SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import GLASS, KIND_MASK, REFRACTION, TRANSLUCENT
 from pointmr_engine.shading.bsdf.vector import row3
 
 WIDE = 0.05  # growth of a mirrored footprint per metre from which the mirror is as rough
 ROUGHEST = 0.06  # variance of the slopes that it has then, at most: what is rougher grazes, and loses light
 OF_GROWTH = 1.0 / 48.0  # that variance against a squared growth: of half of it, over a box
+CHAOTIC = 1.0  # growth of a footprint per metre at glass from which its rays see lamps blurred, ...
+BLUR, MOST_BLUR = 0.25, 0.35  # ... by half an angle of so much of it, and of so many radians at most
+TWICE = 2.0  # roughnesses that this blur must be larger than: else light samples find lamps as well
 
 
 @device
@@ -33,16 +38,20 @@ def _sees_mirrored(lobes, k):
 
 
 @uncounted
-def follow_footprints(tables, paths, hits, facing, lobes, alive, count, turned, spread, shape, q):
+def follow_footprints(
+    tables, paths, hits, facing, lobes, alive, count, narrower, turned, chaos, spread, shape, q
+):
     """turned (N,) float32: by how much the normal turns across the footprints of points 0..count; 0 of matt and flat.
 
+    chaos (N,) float32, radians: half the angle over which rays of its glass see lamps blurred; 0: they see them sharp.
     spread (N,) float32: variance of the slopes by which lobes are widened; that of a WIDE footprint is added. Not at
-    glass: through it rays alone find lamps, and in wide lobes they seldom do.
+    glass, whose lobes show more than lamps: what is behind it would blur as well.
 
+    narrower: share of that angle, which becomes less with more cones a pixel, as the noise does.
     tables: PartTables; facing (N, 3): normals to the viewer's side; alive (N,) bool; shape (N, 6), q (3, 3) to work in.
     """
     for k in range(count):
-        turned[k] = 0.0
+        turned[k] = chaos[k] = 0.0
         if not alive[k]:
             continue
         sees, through = _sees_mirrored(lobes, k)
@@ -52,7 +61,9 @@ def follow_footprints(tables, paths, hits, facing, lobes, alive, count, turned, 
         wide = np.float64(paths.state.width[k]) + np.float64(paths.state.spread[k]) * hits.t[k]
         turned[k] = math.sqrt(bend) * wide
         growth = np.float64(paths.state.spread[k]) + 2.0 * np.float64(turned[k])
-        if growth > WIDE and not through:
+        if through:
+            chaos[k] = narrower * min(BLUR * growth, MOST_BLUR) if growth > CHAOTIC else 0.0
+        elif growth > WIDE:
             spread[k] += min(OF_GROWTH * growth * growth, ROUGHEST)
 
 
@@ -64,3 +75,18 @@ def grow(out, first, end, change):
     """
     for m in range(first, end):
         out.state.spread[m] += change
+
+
+@device
+def blurs_lamps(kind, rough, chaos):
+    """Whether a lobe of this kind and roughness sees lamps by rays alone, and blurred. chaos: of its point."""
+    return kind & KIND_MASK > TRANSLUCENT and chaos > TWICE * rough
+
+
+@device
+def blur_lamps(out, record, first, end, blur):
+    """Rays first..end find lamps by themselves, blurred. record: LobeCones."""
+    for m in range(first, end):
+        record.blur[m] = blur
+        out.flags[m] |= SEES_LAMPS
+        out.bsdf_pdf[m] = math.inf

@@ -33,7 +33,7 @@ from pointmr_engine.multires.lobes.lobe_view import (
     refracted_pdf,
     refraction,
 )
-from pointmr_engine.multires.lobes.mirror_chains import grow
+from pointmr_engine.multires.lobes.mirror_chains import blur_lamps, blurs_lamps, grow
 from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
@@ -125,7 +125,7 @@ def _place(tables, samples, slot, bounce, k, j):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, bent, curved, shape, turned, limit, glinting, shares, refractions,
+                  record, integrated, small, bent, curved, shape, turned, chaos, limit, glinting, shares, refractions,
                   first_share, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
@@ -133,12 +133,10 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
     integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
     that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples look for lamps.
-    curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface. turned (N,): as of
-    mirror_chains.follow_footprints; 0 there.
-    limit: roughness above which lobes take rays; glinting: throughput below which lobes look for lamps. shares,
-    refractions: what rays of the first surfaces' lobes find is shared by these rows, from first_share on (none: not at
-    all). passed
-    (2, L, 3) float64 to work in.
+    curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface. turned, chaos (N,):
+    as of mirror_chains.follow_footprints; they count behind it. limit: roughness above which lobes take rays; glinting:
+    throughput below which lobes look for lamps. shares, refractions: what rays of the first surfaces' lobes find is
+    shared by these rows, from first_share on (none: not at all). passed (2, L, 3) float64 to work in.
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
@@ -197,6 +195,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             r, g = row3(passed[0], j), row3(passed[1], j)
             rough = mean_roughness(lobes, k, j)
             own = own_variance(lobes.kind[k, j], rough, np.float64(curved[k])) if bounce == 0 else -1.0
+            alone = blurs_lamps(lobes.kind[k, j], rough, np.float64(chaos[k]))
             largest = total if chosen else _largest(r)
             ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
             if sharing and ray and _largest(r) > 0.0:
@@ -219,6 +218,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
                 grow(out, begin, m, 2.0 * turned[k])
+                if alone:
+                    blur_lamps(out, record, begin, m, np.float64(chaos[k]))
             largest = total if chosen else _largest(g)
             ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
             if bounce == 0 and len(refractions.worth) > 0 and ray and _largest(g) > 0.0:
@@ -231,6 +232,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 g = (g[0] * f, g[1] * f, g[2] * f)
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(g), small[k]) if ray and bounce == 0 and not crowded else 1
+                begin = m
                 g, f = (g[0] / times, g[1] / times, g[2] / times), f / times
                 for _ in range(times):
                     m = _refract(
@@ -238,6 +240,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                         glints and bounce > 0, sampled, small[k], rough, ray, crowded, own, shape,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
+                if alone:
+                    blur_lamps(out, record, begin, m, np.float64(chaos[k]))
         if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
             m = first
     return m
@@ -326,7 +330,7 @@ def _open_cones(
             open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
         record.alpha[m], record.beckmann[m], record.even[m] = alpha, beckmann, even
         record.part[m] = part + 1 if parts == 2 else 0
-        record.ray[m] = small
+        record.ray[m], record.blur[m] = small, 0.0
         for c in range(3):
             record.normal[m, c] = normal[c]
             record.incoming[m, c] = d[c] if transmission else wi[c]

@@ -13,6 +13,7 @@ from pointmr_engine.forward.shading.lobe_light import widen_by_normals, widen_mo
 from pointmr_engine.forward.shading.world_light import world_lobe
 from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones.cones import allocate_cones
+from pointmr_engine.multires.lobes.blurred_lamps import blurred_lamps
 from pointmr_engine.multires.lobes.lobe_lamps import first_fragments, lamps_in_cones
 from pointmr_engine.multires.lobes.lobe_paths import BY_SAMPLES
 from pointmr_engine.multires.lobes.lobe_rays import ROUGH
@@ -67,6 +68,7 @@ class ConePaths(WideLamps):
         self.passed = np.empty((2, self.alpha.shape[1], 3))
         self.none = np.zeros(n, np.bool_)
         self.turned = np.zeros(n, np.float32)  # of mirrors behind mirrors: mirror_chains.follow_footprints
+        self.chaos = np.zeros(n, np.float32)  # of glass behind the first surface: the same
         self.lobe_cones = allocate_lobe_cones(n, allocate_cones(n))
         # sub-rays are weighed when their cones are followed: one room for their weights will do
         self.next_cones = allocate_lobe_cones(n, allocate_cones(n))._replace(weights=self.lobe_cones.weights)
@@ -75,6 +77,7 @@ class ConePaths(WideLamps):
         self.escaped = np.empty(n, np.uint64)
         self.then = self.met
         self.lobe_alpha, self.behind = np.zeros(n, np.float32), np.ones((n, 3), np.float32)
+        self.blur = np.zeros(n, np.float32)  # LobeCones.blur, of paths behind first surfaces
         self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
         # behind first surfaces, lobes and samples share the lamps but where these have cones
         self.glinting, self.glints = np.inf if light.many else STRONG, False
@@ -100,11 +103,12 @@ class ConePaths(WideLamps):
             if self.light.extended:
                 follow_footprints(
                     self.stage.shader.geometry.tables, now, self.hits, self.frames.smooth_normal, self.lobes,
-                    self.hits.triangle[:n] >= 0, np.int64(n), self.turned, self.spread, self.shape, np.empty((3, 3)),
+                    self.hits.triangle[:n] >= 0, np.int64(n), self.around / AROUND, self.turned, self.chaos,
+                    self.spread, self.shape, np.empty((3, 3)),
                 )  # fmt: skip
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
         else:
-            self.turned[:n] = 0.0
+            self.turned[:n] = self.chaos[:n] = 0.0
         super().shaded(now, n, bounce)
 
     def roulette(self, now, n: int, alive, bounce: int) -> None:
@@ -123,7 +127,7 @@ class ConePaths(WideLamps):
         lobes.count[:n][~alive] = 0
         if bends:
             bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
-        keep_lobes(lobes, self.alpha, self.integrated, np.int64(n))
+        keep_lobes(lobes, self.alpha, self.chaos, self.integrated, np.int64(n))
         if bounce:
             weak = alive & (now.throughput[:n].max(1) < STRONG)
             self.stage, self.glints, self.repeats = self.weak_stage, True, 1
@@ -222,7 +226,7 @@ class ConePaths(WideLamps):
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
             self.integrated, self.none if self.small is None else self.small, bent, self.curved, self.shape,
-            self.turned, self.limit, glinting, self.shared_light.lobes,
+            self.turned, self.chaos, self.limit, glinting, self.shared_light.lobes,
             self.shared_light.refractions, np.int64(self.first), self.passed,
         )  # fmt: skip
 
@@ -261,7 +265,7 @@ class ConePaths(WideLamps):
                 self._see_lamps(now, count, n)
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
-            self.lobe_alpha, self.behind, self.around,
+            self.lobe_alpha, self.behind, self.blur, self.around,
         )  # fmt: skip
         total = sum(counts)
         self.by_ray[:total] = np.arange(total) >= total - counts[2]
@@ -276,36 +280,62 @@ class ConePaths(WideLamps):
     def _see_lamps(self, now, count: int, n: int) -> None:
         """Add the lamps that the cones of n paths see, between the `count` fragments that they meet."""
         lights, fragments = self.light.lights, self.met_fragments
-        begin, seen = np.empty(n + 1, np.int64), np.empty((n, 3), np.float32)
+        begin, near = np.empty(n + 1, np.int64), np.empty(len(lights.arrays.met_lamps), np.int32)
         first_fragments(fragments, np.int64(count), begin)
-        near, towards = np.empty(len(lights.arrays.met_lamps), np.int32), np.empty((n, 3))
 
-        def find(lamps, met, out) -> None:
+        def find(lamps, met, out, towards) -> None:
             lamps_in_cones(
                 lamps, lights.arrays.tree, met, now, self.lobe_cones, fragments, begin, np.int64(n), near, out, towards
             )  # fmt: skip
 
-        find(lights.arrays.lamps, lights.arrays.met_lamps, seen)
+        self._add_lamps(now, n, find, self.lobe_cones.cones.origin)
+
+    def _see_blurred(self, now, rays, rows: np.ndarray, n: int, bounce: int) -> None:
+        """Add the lamps about the rays `rows` of n, which see them blurred."""
+
+        def find(lamps, met, out, towards) -> None:
+            blurred_lamps(
+                lamps, met, rays, self.hits.t, now, self.samples, self.stage.tables, np.int64(bounce), self.blur, rows,
+                out, towards,
+            )  # fmt: skip
+
+        self._add_lamps(now, n, find, rays.origin)
+
+    def _add_lamps(self, now, n: int, find, origin) -> None:
+        """Add the lamps that n paths see, those with nodes as these are seen from `origin` (N, 3) on the whole.
+
+        find(lamps, met lamps, out (n, 3) float32, towards (n, 3) float64): adds what is seen of them, and in what
+        direction, of no length.
+        """
+        lights, seen, towards = self.light.lights, np.zeros((n, 3), np.float32), np.zeros((n, 3))
+        find(lights.arrays.lamps, lights.arrays.met_lamps, seen, towards)
         for k, nodes in lights.nodes.items():
-            own = np.empty((n, 3), np.float32)
+            own, towards = np.zeros((n, 3), np.float32), np.zeros((n, 3))
             lamps, met, _ = lights.as_if_even(k)
-            find(lamps, met, own)
+            find(lamps, met, own, towards)
             rows = np.flatnonzero(own.any(1))
             if len(rows):
                 there = towards[rows] / np.linalg.norm(towards[rows], axis=1, keepdims=True)
-                seen[rows] += own[rows] * nodes.met(self.lobe_cones.cones.origin[rows], there)
+                seen[rows] += own[rows] * nodes.met(origin[rows], there)
         paths.add_radiance(now, self.samples, self.stage.limits, seen, self.ones[:n], n)
 
     def _met_lights(self, now, rays, n: int, alive, bounce: int) -> None:
         stage, self.stage = self.stage, self.weak_stage  # whose samples share lamps with what lobes see
         super()._met_lights(now, rays, n, alive, bounce)
         self.stage = stage
+        blurred = np.flatnonzero(self.blur[:n]) if bounce else ()
+        if len(blurred) and len(self.light.lights.arrays.met_lamps):
+            self._see_blurred(now, rays, blurred, n, bounce)
 
     def pdf_of_lamps(self, now, n: int, bounce: int) -> np.ndarray:
         """Lamps are seen where nothing widens the view, or as the part that samples leave to lobes."""
         shared = np.where((now.flags[:n] & SEES_LAMPS) != 0, now.bsdf_pdf[:n], 0.0)
         seen = np.where((now.flags[:n] & NO_LAMPS) != 0, 0.0, np.inf)
-        return np.where((self.lobe_alpha[:n] <= 0.0) | (bounce == 0), seen, shared)
+        if bounce == 0:
+            return seen
+        pdf = np.where(self.lobe_alpha[:n] <= 0.0, seen, shared)
+        pdf[self.blur[:n] > 0.0] = 0.0  # _see_blurred
+        return pdf
 
     def seen_world(self, now, rays, rows: np.ndarray, bit: int):
         """The world, blurred by the lobes that see it; light samples look for it at diffuse lobes alone."""
