@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.lobes.lobe_lamps import may_lie_in
+from pointmr_engine.multires.lobes.lobe_lamps import may_show
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_2d
 from pointmr_engine.numerics.warps import uniform_cone
@@ -32,7 +32,7 @@ def _add(lamps, lamp, wo, share, out, towards, k):
 
 @device
 def _look(lamps, lamp, origin, axis, reach, narrow, u, v, out, towards, k):
-    """Add what LOOKS pairs of samples find of a lamp; narrow: 1 - cos of half the angle."""
+    """Add what LOOKS pairs of samples find of a lamp; narrow: 1 - cos of half an angle."""
     x, y, z = origin
     own = 1.0 / (2.0 * math.pi * narrow)
     for _ in range(LOOKS):
@@ -49,10 +49,10 @@ def _look(lamps, lamp, origin, axis, reach, narrow, u, v, out, towards, k):
 
 @uncounted
 def blurred_lamps(lamps, met, rays, reach, paths, samples, tables, bounce, blur, rows, out, towards):
-    """out (N, 3) float32 at `rows`: radiance of lamps about the rays, within blur (N,) float32 radians of them.
+    """Add to out (N, 3) float32 the radiance of lamps about the rays `rows`, within blur (N,) float32 radians of them.
 
-    towards (N, 3) float64 at `rows`: where it comes from on the whole, of no length; both are added to. met (K,) int32:
-    lamps that rays can meet, of which those that vary are left out. reach (N,) float64: of the rays; inf: suns as well.
+    towards (N, 3) float64, added to as well: where it comes from on the whole, of no length. met (K,) int32: lamps that
+    rays can meet, of which those that vary are left out. reach (N,) float64: of the rays; inf: suns as well.
     """
     for i in range(len(rows)):
         k = np.int64(rows[i])
@@ -60,10 +60,7 @@ def blurred_lamps(lamps, met, rays, reach, paths, samples, tables, bounce, blur,
         narrow, slot = 2.0 * math.sin(0.5 * half) ** 2, paths.slot[k]
         for j in range(len(met)):
             lamp = np.int64(met[j])
-            shown = (
-                lamps.mis[lamp] and not lamps.varying[lamp] and lamps.visibility[lamp] & rays.visibility[k]
-            )
-            if not (shown and may_lie_in(lamps, lamp, origin, axis, half)):
+            if not may_show(lamps, lamp, rays.visibility[k], origin, axis, half):
                 continue
             seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
             places = np.uint32(PLACES + 64 * bounce + (j & 63))

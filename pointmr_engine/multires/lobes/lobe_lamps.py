@@ -42,8 +42,13 @@ def finds_lamps(paths: Paths, lobes: LobeCones, m):
 
 
 @device
-def may_lie_in(lamps, lamp, origin, axis, half):
-    """Whether a lamp may lie in a cone of half an angle `half` about a unit axis: by the balls about both."""
+def may_show(lamps, lamp, visibility, origin, axis, half):
+    """Whether a cone of half an angle `half` about a unit axis may show a lamp: by the balls about both.
+
+    Not one that varies, nor one that rays of this visibility do not meet.
+    """
+    if not lamps.mis[lamp] or lamps.varying[lamp] or not lamps.visibility[lamp] & visibility:
+        return False
     row, shape = lamps.values[lamp], lamps.shape[lamp]
     if shape == SUN:
         return True
@@ -128,16 +133,14 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out,
 def lamps_in_cones(
     lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, near, out, towards
 ):  # fmt: skip
-    """out (N, 3) float32: radiance of lamps that the cones 0..n see, where they are to find it; 0 elsewhere.
+    """Add to out (N, 3) float32 the radiance of lamps that the cones 0..n see, where they are to find it.
 
-    towards (N, 3) float64: where they see it on the whole, of no length.
+    towards (N, 3) float64, added to as well: where they see it on the whole, of no length.
 
     tree: LightTree; met (K,) int32: lamps that rays can meet, of which those that vary are left out; fragments: what
     the cones meet; begin: see first_fragments; near (K,) int32 to work in.
     """
     for k in range(n):
-        out[k, 0] = out[k, 1] = out[k, 2] = 0
-        towards[k, 0] = towards[k, 1] = towards[k, 2] = 0.0
         if not finds_lamps(paths, lobes, k):
             continue
         c, count = lobes.cones, np.int64(0)
@@ -145,9 +148,7 @@ def lamps_in_cones(
         half = math.atan(math.sqrt(c.spread[k, 0] ** 2 + c.spread[k, 1] ** 2))
         for i in range(len(met)):
             lamp = np.int64(met[i])
-            shown = lamps.mis[lamp] and not lamps.varying[lamp]
-            shown = shown and lamps.visibility[lamp] & lobes.cones.visibility[k]
-            if shown and may_lie_in(lamps, lamp, origin, axis, half):
+            if may_show(lamps, lamp, c.visibility[k], origin, axis, half):
                 near[count] = lamp
                 count += 1
         if count == 0:

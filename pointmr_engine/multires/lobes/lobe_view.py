@@ -43,7 +43,7 @@ class LobeCones(NamedTuple):
     weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
     ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
     rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
-    blur: np.ndarray  # (N,) float32: of mirrors and clear glass, half the angle over which they blur lamps
+    blur: np.ndarray  # (N,) float32: of chaotic glass, half the angle over which it blurs lamps; else 0
     behind: np.ndarray  # (N, 3) float32: of rays, factors of what surfaces reflect (lobe_rays.behind_glossy)
     beckmann: np.ndarray  # (N,) bool: whose slopes are as a Gaussian has them, and not as GGX
     even: (

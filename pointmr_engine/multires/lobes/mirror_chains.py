@@ -47,7 +47,7 @@ def follow_footprints(
     spread (N,) float32: variance of the slopes by which lobes are widened; that of a WIDE footprint is added. Not at
     glass, whose lobes show more than lamps: what is behind it would blur as well.
 
-    narrower: share of that angle, which becomes less with more cones a pixel, as the noise does.
+    narrower: share of the blur, which becomes less with more cones a pixel, as the noise does.
     tables: PartTables; facing (N, 3): normals to the viewer's side; alive (N,) bool; shape (N, 6), q (3, 3) to work in.
     """
     for k in range(count):
@@ -85,7 +85,7 @@ def blurs_lamps(kind, rough, chaos):
 
 @device
 def blur_lamps(out, record, first, end, blur):
-    """Rays first..end find lamps by themselves, blurred. record: LobeCones."""
+    """Paths first..end, of one lobe, find lamps by themselves, blurred. record: LobeCones."""
     for m in range(first, end):
         record.blur[m] = blur
         out.flags[m] |= SEES_LAMPS

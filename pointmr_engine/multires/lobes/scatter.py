@@ -191,11 +191,10 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             no_cone(record, m, STRAIGHT)
             m += 1
         for j in range(np.int64(lobes.count[k])):
-            integrated[k, j] = False
+            integrated[k, j], begin = False, m
             r, g = row3(passed[0], j), row3(passed[1], j)
             rough = mean_roughness(lobes, k, j)
             own = own_variance(lobes.kind[k, j], rough, np.float64(curved[k])) if bounce == 0 else -1.0
-            alone = blurs_lamps(lobes.kind[k, j], rough, np.float64(chaos[k]))
             largest = total if chosen else _largest(r)
             ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
             if sharing and ray and _largest(r) > 0.0:
@@ -210,7 +209,6 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(r), small[k]) if ray and bounce == 0 and not crowded else 1
                 r, f = (r[0] / times, r[1] / times, r[2] / times), f / times
-                begin = m
                 for _ in range(times):
                     m = _reflect(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
@@ -218,8 +216,6 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
                 grow(out, begin, m, 2.0 * turned[k])
-                if alone:
-                    blur_lamps(out, record, begin, m, np.float64(chaos[k]))
             largest = total if chosen else _largest(g)
             ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)
             if bounce == 0 and len(refractions.worth) > 0 and ray and _largest(g) > 0.0:
@@ -232,7 +228,6 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 g = (g[0] * f, g[1] * f, g[2] * f)
                 u, v = _place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(g), small[k]) if ray and bounce == 0 and not crowded else 1
-                begin = m
                 g, f = (g[0] / times, g[1] / times, g[2] / times), f / times
                 for _ in range(times):
                     m = _refract(
@@ -240,8 +235,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                         glints and bounce > 0, sampled, small[k], rough, ray, crowded, own, shape,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
-                if alone:
-                    blur_lamps(out, record, begin, m, np.float64(chaos[k]))
+            if blurs_lamps(lobes.kind[k, j], rough, np.float64(chaos[k])):
+                blur_lamps(out, record, begin, m, np.float64(chaos[k]))
         if chosen and m == first + 1 and not _survives(out, first, chance, WEAK):
             m = first
     return m

@@ -81,7 +81,8 @@ class ConePaths(WideLamps):
         self.limit = ROUGH * self.stage.settings.raytrace.cones**-0.5
         # behind first surfaces, lobes and samples share the lamps but where these have cones
         self.glinting, self.glints = np.inf if light.many else STRONG, False
-        self.around = AROUND * self.stage.settings.raytrace.cones**-0.25
+        self.narrower = self.stage.settings.raytrace.cones**-0.25
+        self.around = AROUND * self.narrower
         self.by_ray = np.zeros(n, np.bool_)  # what is met by rays within lobes, and not by their cones
         self.chances = np.zeros(n)  # by which cones choose among their sub-rays
         self.going = 0
@@ -103,7 +104,7 @@ class ConePaths(WideLamps):
             if self.light.extended:
                 follow_footprints(
                     self.stage.shader.geometry.tables, now, self.hits, self.frames.smooth_normal, self.lobes,
-                    self.hits.triangle[:n] >= 0, np.int64(n), self.around / AROUND, self.turned, self.chaos,
+                    self.hits.triangle[:n] >= 0, np.int64(n), self.narrower, self.turned, self.chaos,
                     self.spread, self.shape, np.empty((3, 3)),
                 )  # fmt: skip
             widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
@@ -329,10 +330,10 @@ class ConePaths(WideLamps):
 
     def pdf_of_lamps(self, now, n: int, bounce: int) -> np.ndarray:
         """Lamps are seen where nothing widens the view, or as the part that samples leave to lobes."""
-        shared = np.where((now.flags[:n] & SEES_LAMPS) != 0, now.bsdf_pdf[:n], 0.0)
         seen = np.where((now.flags[:n] & NO_LAMPS) != 0, 0.0, np.inf)
         if bounce == 0:
             return seen
+        shared = np.where((now.flags[:n] & SEES_LAMPS) != 0, now.bsdf_pdf[:n], 0.0)
         pdf = np.where(self.lobe_alpha[:n] <= 0.0, seen, shared)
         pdf[self.blur[:n] > 0.0] = 0.0  # _see_blurred
         return pdf
