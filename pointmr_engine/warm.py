@@ -234,7 +234,7 @@ class _Kernels:
         from pointmr_engine.needs import Needs
         from pointmr_engine.raytracing.camera import compile_camera
         from pointmr_engine.raytracing.integrator import Stage
-        from pointmr_engine.raytracing.paths import limits_of
+        from pointmr_engine.raytracing.path_arrays import limits_of
         from pointmr_engine.raytracing.shade import Shader
         from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 

@@ -13,7 +13,8 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.light_sampling import NONE, TRIANGLE, LightSamples
-from pointmr_engine.raytracing.paths import FINAL, Limits, Paths, Samples, only_diffuse
+from pointmr_engine.raytracing.path_arrays import FINAL, Limits, Paths, Samples
+from pointmr_engine.raytracing.paths import only_diffuse
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_rays
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION

@@ -20,7 +20,17 @@ from pointmr_engine.raytracing.camera import CameraArrays, sample_rays, window_c
 from pointmr_engine.raytracing.frames import allocate_frames, frames, veil_frames
 from pointmr_engine.raytracing.light_sampling import LightSamples, allocate_light_samples
 from pointmr_engine.raytracing.lights import Lights
-from pointmr_engine.raytracing.paths import BACKDROP, FINAL, PASSES_DONE, Limits
+from pointmr_engine.raytracing.path_arrays import (
+    BACKDROP,
+    FINAL,
+    PASSES_DONE,
+    Limits,
+    allocate_paths,
+    allocate_samples,
+    allocate_scattered,
+    lay_out,
+    start_paths,
+)
 from pointmr_engine.raytracing.rays import Rays, allocate_hits
 from pointmr_engine.raytracing.shade import Shader, allocate_view, fill_view
 from pointmr_engine.raytracing.surface import RayState, allocate_ray_state
@@ -65,14 +75,14 @@ class Workspace:
         camera_from_world = stage.camera.camera_from_world
         self.stage = stage
         self.size = n
-        self.samples = paths.allocate_samples(n)
-        self.queues = [paths.allocate_paths(n, camera_from_world) for _ in range(2)]
+        self.samples = allocate_samples(n)
+        self.queues = [allocate_paths(n, camera_from_world) for _ in range(2)]
         self.hits = allocate_hits(n)
         self.frames = allocate_frames(n)
         self.view = allocate_view(n)
         self.lobes = lobe_kernels.allocate(n, stage.needs.max_lobes, stage.shader.tables)
         self.order = np.zeros(n, np.int64)
-        self.scattered = paths.allocate_scattered(n)
+        self.scattered = allocate_scattered(n)
         self.counters: Counter = Counter()
         self.texture_slopes = None  # of first surfaces, for methods that ask
         if stage.needs.light_samples:
@@ -162,9 +172,9 @@ class Workspace:
 
     def start(self, x0: int, y0: int, x1: int, y1: int, first: int, count: int) -> int:
         """Camera paths of a tile's samples, in the first queue; returns how many."""
-        n = paths.lay_out(self.samples, x0, y0, x1, y1, first, count)
+        n = lay_out(self.samples, x0, y0, x1, y1, first, count)
         stage, s, now = self.stage, self.samples, self.queues[0]
-        paths.start_paths(now, n)
+        start_paths(now, n)
         sample_rays(
             stage.camera, stage.tables, stage.settings.seed, s.x, s.y, s.number,
             now.rays, s.seed, now.state.width, now.state.spread, 0, n,

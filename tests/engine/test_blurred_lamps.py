@@ -12,9 +12,9 @@ from pointmr_engine import Camera, Group, Light, Mesh, Scene, principled, unifor
 from pointmr_engine.multires.lobes.blurred_lamps import blurred_lamps
 from pointmr_engine.numerics.sobol import sobol_tables
 from pointmr_engine.numerics.warps import uniform_cone
-from pointmr_engine.raytracing import paths
 from pointmr_engine.raytracing.compile_lamps import compile_lamps
 from pointmr_engine.raytracing.lamps_in_view import see_lamp
+from pointmr_engine.raytracing.path_arrays import allocate_paths, allocate_samples
 from pointmr_engine.render import Cache
 from tests.engine.instanced import sphere
 from tests.engine.small_scenes import quad
@@ -36,7 +36,7 @@ def seen(light: Light, direction: np.ndarray, blur: float, reach: float = math.i
     """(N,) radiance about rays (N, 3) from the origin."""
     n = len(direction)
     lamps, _ = compile_lamps([light])
-    tables, samples, found = sobol_tables(), paths.allocate_samples(n), paths.allocate_paths(n)
+    tables, samples, found = sobol_tables(), allocate_samples(n), allocate_paths(n)
     found.slot[:] = np.arange(n)
     samples.number[:] = np.arange(n)
     found.rays.origin[:], found.rays.direction[:], found.rays.visibility[:] = 0.0, direction, 255

@@ -17,7 +17,7 @@ from pointmr_engine.multires.cones.cones import allocate_cones, sub_rays
 from pointmr_engine.multires.fragments.curvature import spread_of_curvature
 from pointmr_engine.multires.lobes.curved_mirrors import BENT, open_curved, own_variance
 from pointmr_engine.numerics.jit import uncounted
-from pointmr_engine.raytracing.paths import allocate_paths
+from pointmr_engine.raytracing.path_arrays import allocate_paths
 from pointmr_engine.raytracing.rays import allocate_hits, allocate_rays
 from pointmr_engine.raytracing.walk import intersect
 from pointmr_engine.shading.bsdf.layout import GLASS, REFLECTION, TRANSLUCENT

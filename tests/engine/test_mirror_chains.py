@@ -21,7 +21,7 @@ from pointmr_engine.multires.lobes.mirror_chains import (
     WIDE,
     follow_footprints,
 )
-from pointmr_engine.raytracing.paths import allocate_paths
+from pointmr_engine.raytracing.path_arrays import allocate_paths
 from pointmr_engine.raytracing.rays import allocate_hits
 from pointmr_engine.raytracing.walk import intersect
 from pointmr_engine.render import Cache

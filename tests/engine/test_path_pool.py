@@ -13,7 +13,7 @@ from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.lobes.lobe_view import allocate_lobe_cones
 from pointmr_engine.multires.paths import cone_paths, fragment_paths
 from pointmr_engine.multires.paths.path_pool import PathPool
-from pointmr_engine.raytracing.paths import allocate_paths
+from pointmr_engine.raytracing.path_arrays import allocate_paths
 from pointmr_engine.scene.settings import RaytraceSettings
 from tests.engine.small_scenes import lit_floor
 

@@ -10,7 +10,7 @@ from pointmr_engine.multires.fragments.merge import thin_margin
 from pointmr_engine.multires.paths.fragment_paths import TOGETHER, count_in_pixels, number_samples
 from pointmr_engine.numerics.rng import sample_2d
 from pointmr_engine.numerics.sobol import sobol_tables
-from pointmr_engine.raytracing.paths import allocate_samples
+from pointmr_engine.raytracing.path_arrays import allocate_samples
 
 SUBPIXELS = 8
 

@@ -29,7 +29,7 @@ from pointmr_engine.raytracing.lamps import (
     lamp_pdf_scale,
 )
 from pointmr_engine.raytracing.light_tree import light_probability
-from pointmr_engine.raytracing.paths import Paths
+from pointmr_engine.raytracing.path_arrays import Paths
 from pointmr_engine.shading.bsdf.vector import row3
 
 

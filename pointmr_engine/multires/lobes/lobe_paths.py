@@ -10,7 +10,7 @@ from pointmr_engine.multires.cones.cones import jitter, set_axes
 from pointmr_engine.multires.cones.lamp_cones import NEAR
 from pointmr_engine.multires.lobes.lobe_view import WITHIN_LOBE
 from pointmr_engine.numerics.jit import device
-from pointmr_engine.raytracing.paths import (
+from pointmr_engine.raytracing.path_arrays import (
     BACKDROP,
     FINAL,
     LAST,

@@ -15,7 +15,7 @@ from pointmr_engine.multires.cones.cone_hits import choose_bit
 from pointmr_engine.multires.cones.cones import Cones, direction_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R1, sample_1d
-from pointmr_engine.raytracing.paths import Paths, copy_path, copy_ray
+from pointmr_engine.raytracing.path_arrays import Paths, copy_path, copy_ray
 from pointmr_engine.shading.bsdf.layout import IOR
 from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
 from pointmr_engine.shading.bsdf.vector import combine, dot, normalized, row3

@@ -14,7 +14,7 @@ import numpy as np
 
 from pointmr_engine.multires.fragments.curvature import bend_at
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.raytracing.paths import SEES_LAMPS
+from pointmr_engine.raytracing.path_arrays import SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import GLASS, KIND_MASK, REFRACTION, TRANSLUCENT
 from pointmr_engine.shading.bsdf.vector import row3
 

@@ -37,7 +37,7 @@ from pointmr_engine.multires.lobes.mirror_chains import blur_lamps, blurs_lamps,
 from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
-from pointmr_engine.raytracing.paths import LAST, NO_LAMPS, SEES_LAMPS
+from pointmr_engine.raytracing.path_arrays import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
     BECKMANN,

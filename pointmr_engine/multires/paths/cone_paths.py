@@ -40,7 +40,7 @@ from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths, walk
 from pointmr_engine.raytracing.light_sampling import NONE
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
-from pointmr_engine.raytracing.paths import NO_LAMPS, SEES_LAMPS
+from pointmr_engine.raytracing.path_arrays import NO_LAMPS, SEES_LAMPS, allocate_paths
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.footprint_mean import EVERY, POINT, SOME
@@ -72,7 +72,7 @@ class ConePaths(WideLamps):
         self.lobe_cones = allocate_lobe_cones(n, allocate_cones(n))
         # sub-rays are weighed when their cones are followed: one room for their weights will do
         self.next_cones = allocate_lobe_cones(n, allocate_cones(n))._replace(weights=self.lobe_cones.weights)
-        self.met = paths.allocate_paths(n, self.stage.camera.camera_from_world)
+        self.met = allocate_paths(n, self.stage.camera.camera_from_world)
         self.met_fragments = allocate_fragments(n)
         self.escaped = np.empty(n, np.uint64)
         self.then = self.met

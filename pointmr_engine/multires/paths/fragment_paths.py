@@ -23,9 +23,10 @@ from pointmr_engine.multires.fragments.transparency import UNKNOWN, close_transp
 from pointmr_engine.multires.paths.path_pool import PathPool
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import pixel_seed, sample_1d
-from pointmr_engine.raytracing import paths, walk
+from pointmr_engine.raytracing import walk
 from pointmr_engine.raytracing.frames import sub_frames
 from pointmr_engine.raytracing.integrator import Stage, Workspace
+from pointmr_engine.raytracing.path_arrays import Samples, start_paths
 from pointmr_engine.raytracing.rays import Rays, allocate_hits, allocate_rays
 from pointmr_engine.raytracing.surface import RayState, allocate_frames, frames
 from pointmr_engine.scene.group import CAMERA
@@ -179,9 +180,9 @@ class FragmentPaths(Workspace):
         if self.held + count > self.size:
             self._settle_paths()
         base = self.held
-        self.samples = paths.Samples(*(a[base : base + count] for a in self.every))
+        self.samples = Samples(*(a[base : base + count] for a in self.every))
         samples, hits, first_, n_ = self.samples, self.hits, np.int64(first), np.int64(count)
-        paths.start_paths(now, count)
+        start_paths(now, count)
         samples.radiance[:count] = 0.0
         samples.transparency[:count] = 0.0
         number_samples(

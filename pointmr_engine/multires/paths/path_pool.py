@@ -10,7 +10,7 @@ import numpy as np
 
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.lobes.lobe_view import LobeCones, allocate_lobe_cones
-from pointmr_engine.raytracing.paths import Paths, allocate_paths
+from pointmr_engine.raytracing.path_arrays import Paths, allocate_paths
 
 
 def _columns(paths: Paths, cones: LobeCones | None) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ from pointmr_engine.multires.sharing.world_rays import (
 )
 from pointmr_engine.raytracing.integrator import NEXT
 from pointmr_engine.raytracing.lights import LAMP, WORLD
-from pointmr_engine.raytracing.paths import allocate_samples
+from pointmr_engine.raytracing.path_arrays import allocate_samples
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_REFLECTION
 
 MIRRORED = 4  # times as many rays to the world from what mirrors and clear glass show, which nothing shares

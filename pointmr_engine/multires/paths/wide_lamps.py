@@ -26,6 +26,7 @@ from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing import paths
 from pointmr_engine.raytracing.integrator import NEXT
 from pointmr_engine.raytracing.lamps import sample_lamp
+from pointmr_engine.raytracing.path_arrays import allocate_samples
 from pointmr_engine.scene.group import SHADOW
 from pointmr_engine.shading.bsdf.vector import dot, row3
 
@@ -94,7 +95,7 @@ class WideLamps(SharingPaths):
         self.masks = np.empty(n, np.uint64)
         self.passes = self.stage.needs.transparent_shadows and len(light.lamps.shape) > 0
         if self.passes:
-            self.through, self.total = paths.allocate_samples(n), np.zeros(n)
+            self.through, self.total = allocate_samples(n), np.zeros(n)
 
     def light_wide_lamps(self, now, n: int, bounce: int) -> None:
         """Add the light of lamps that take cones."""
