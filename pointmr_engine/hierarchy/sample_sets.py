@@ -47,7 +47,8 @@ EXPOSED_CELLS = 64  # of a group's side: how finely it is looked at to tell
 PIECE = 0.5  # of the spacing: the size that triangles are cut to before samples are chosen
 CANDIDATE = 0.5  # of the spacing: the spacing of the surfels that stand for an instance among the candidates
 SLACK = 8  # rows past the last surfel that may be read, for kernels that take several at once
-CHUNK = 2_000_000  # candidates at once
+# candidates at once: few stay in the cache; of what must be seen as a whole, as many as memory allows
+CHUNK, WHOLE = 32_000, 2_000_000
 LATTICE = 4096.0  # spacings along an axis over which nodes are put apart: float32 places stay exact to 1/4096 of one
 
 _met: set[tuple] = set()  # kinds of sets that this process built: their kernels are compiled
@@ -97,6 +98,7 @@ class SampleSets:
             PIECE,
             CANDIDATE,
             CHUNK,
+            WHOLE,
             LATTICE,
             PLACES,
             GAPS,
@@ -292,11 +294,12 @@ class SampleSets:
         ranges = self.octree.arrays.items[nodes][:, [1, 3]].astype(np.int64)
         weight = np.cumsum(self._candidates.weights(g, ranges, spacing * CANDIDATE))
         parts: list[StoredSets] = []
-        start = 0
+        coarse, start = level <= EXPOSED and self.exposed, 0
         while start < len(nodes):
             before = weight[start - 1] if start else 0.0
-            stop = max(start + 1, int(np.searchsorted(weight, before + CHUNK, side="right")))
-            whole = stop - start == len(nodes) and level <= EXPOSED and self.exposed
+            most = WHOLE if coarse else CHUNK
+            stop = max(start + 1, int(np.searchsorted(weight, before + most, side="right")))
+            whole = coarse and stop - start == len(nodes)
             self._sample_nodes(g, ranges[start:stop], spacing, parts, whole)
             start = stop
         counts = np.concatenate([p.counts for p in parts]) if parts else np.zeros(0, np.int64)

@@ -394,3 +394,21 @@ def test_coarse_samples_show_what_is_outside():
         row = sets.surfels.row[: sets.used]
         green = np.average(row[:, RED + 1], weights=row[:, AREA])
         assert (green > 0.85) == exposed
+
+
+def test_nodes_are_sampled_alike_however_many_at_once(monkeypatch):
+    """Coarse levels are the same: what hides what in them is told of all their nodes together."""
+    root, made = Group("root", [bumpy(60)]), []
+    for chunk in (sample_sets.CHUNK, 500):
+        monkeypatch.setattr(sample_sets, "CHUNK", chunk)
+        made.append(sets_of(root, exposed=True))
+        made[-1].require(everything(made[-1]))
+    at_once, apart = made
+    assert apart.used == pytest.approx(at_once.used, rel=0.02)
+    alike = at_once.octree.arrays.level <= sample_sets.EXPOSED
+    for n in np.flatnonzero(at_once.sets[:, 0] != NEVER):
+        rows, others = rows_of(apart, n), rows_of(at_once, n)
+        if alike[n]:
+            np.testing.assert_array_equal(rows, others)
+        else:
+            assert rows[:, AREA].sum() == pytest.approx(others[:, AREA].sum(), rel=0.02)
