@@ -294,10 +294,11 @@ class SampleSets:
         ranges = self.octree.arrays.items[nodes][:, [1, 3]].astype(np.int64)
         weight = np.cumsum(self._candidates.weights(g, ranges, spacing * CANDIDATE))
         parts: list[StoredSets] = []
-        coarse, start = level <= EXPOSED and self.exposed, 0
+        coarse = level <= EXPOSED and self.exposed
+        most = WHOLE if coarse else CHUNK
+        start = 0
         while start < len(nodes):
             before = weight[start - 1] if start else 0.0
-            most = WHOLE if coarse else CHUNK
             stop = max(start + 1, int(np.searchsorted(weight, before + most, side="right")))
             whole = coarse and stop - start == len(nodes)
             self._sample_nodes(g, ranges[start:stop], spacing, parts, whole)

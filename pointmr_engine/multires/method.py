@@ -23,7 +23,7 @@ from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 SUBPIXELS = 8  # per side of a cone
-# cones per side of a tile with its margins, at least, and by how much it is wider than these: larger tiles shade less
+# a tile with its margins is so many cones wide, and so many times as wide as these, at least: larger ones shade less
 # twice, and take more memory
 WIDTH, MARGINS = 96, 6
 # samples per cone's footprint. By alpha, surfels' Gaussians are wider than their spacing already
@@ -71,7 +71,8 @@ class TracedImage(Image):
         # of materials, and of none
         self.by_view = np.array([*(p.turns for p in sampler.programs), False], np.bool_)
         self.shining = stage.lights.shining(len(sampler.geometry.materials) + 1)
-        self.tile = max(WIDTH // side, MARGINS * 2 * self.apron) - 2 * self.apron
+        margins = 2 * self.apron
+        self.tile = max(WIDTH // side, MARGINS * margins) - margins
         self.space_of = TracedTiles
         self.views: list = []  # from points of the lens (multires.lens.lens.LensView); none: a pinhole is enough
         if stage.needs.lens:
