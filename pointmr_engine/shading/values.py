@@ -41,7 +41,7 @@ def divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def saturate(a: np.ndarray) -> np.ndarray:
     """Clamped to 0..1, NaN to 0."""
-    return np.clip(np.nan_to_num(a, nan=0.0), 0.0, 1.0)
+    return np.fmin(np.fmax(a, np.float32(0)), np.float32(1))
 
 
 def mix(a: np.ndarray, b: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -61,8 +61,10 @@ def test_cells_are_clear_with_all_their_neighbours(side, seed):
         assert found[q, p] == bool(inside[q, p] and (clear[0][near] | ~inside[near]).all())
 
 
+@pytest.mark.parametrize("looks", [opacity_micromap.LOOKS, 1500, 400])  # few: cells are halved
 @pytest.mark.parametrize("more", [None, ("hair_info", "is_strand"), ("uv_map", "uv")])
-def test_only_holes_and_what_is_opaque_is_known_and_most_of_it(more):
+def test_only_holes_and_what_is_opaque_is_known_and_most_of_it(more, looks, monkeypatch):
+    monkeypatch.setattr(opacity_micromap, "LOOKS", looks)
     geometry, programs, (first, row, bits, side) = parts(card(more=more))
     rng = np.random.default_rng(2)
     n = 20_000

@@ -8,6 +8,7 @@ What is half transparent or coloured, and what lies at an outline, is asked for 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from pointmr_engine.shading.points import names_of
 
 FINEST = 64  # cells along an edge at most: bits of a word
 COARSEST = 8  # below, cells that are like all their neighbours are too few to be worth it
-LOOKS = 1_500_000  # at most, over all triangles that differ
+LOOKS = 2_000_000  # at most, over all triangles that differ, each time that cells are halved
+MOST = 30_000_000  # cells at most, looked at or not
 ELSEWHERE = 1 << 30  # added to a row's number, for other places in its cells
 REFUTED = 0.01  # of the cells that seem sure: more of them are by chance
 CLEAR, SOLID = 1.0 - 1e-6, 1e-6  # shares of light, in every channel
@@ -40,38 +42,112 @@ def build_micromap(opacity_of: PartOpacity, cut_outs) -> tuple[np.ndarray, np.nd
 
     cut_outs: forward.drawing.cut_outs.CutOuts of the channel that is blocked most, whose triangles share samples.
     """
-    nothing = cut_outs.first, np.zeros(0, np.int32), np.zeros((0, 2), np.int64), 0
     whole = (lattices(cut_outs) == 255).all((1, 2))
     groups = _to_know(opacity_of.geometry, opacity_of.programs, cut_outs)
-    patterned = np.unique(np.concatenate([row[~whole[row]] for *_, row in groups])) if groups else whole[:0]
-    side = _side(len(patterned), FINEST)
-    if not groups or side < COARSEST:
-        return nothing
+    patterns = _refine(
+        opacity_of, [(part, m, own[~whole[row]], row[~whole[row]]) for part, m, own, row in groups]
+    )
+    side = patterns[0].side if patterns else COARSEST
     # words of triangles with a pattern, and one for all that are opaque as a whole
+    patterned = np.unique(np.concatenate([p.row for p in patterns] or [np.zeros(0, np.int64)]))
     words, solid = np.zeros((len(patterned) + 1, side, 2), np.int64), len(patterned)
     words[solid, :, 1] = -1
     words_of = np.full(len(whole), -1)
     words_of[patterned] = np.arange(len(patterned))
+    for p in patterns:
+        for kind in (0, 1):
+            words[words_of[p.row], :, kind] = _words(p.known[kind])
     few = _side(sum(int(whole[row].sum()) for *_, row in groups), COARSEST)
     for part, material, triangles, row in groups:
-        for own in batches(np.flatnonzero(~whole[row]), side):
-            share = _shares(opacity_of, part, material, triangles[own], row[own], side)
-            again = _shares(opacity_of, part, material, triangles[own], row[own] + ELSEWHERE, side)
-            words[words_of[row[own]]] = np.stack(
-                [
-                    _words(_known(share.min(3) >= CLEAR, again.min(3) >= CLEAR)),
-                    _words(_known(share.max(3) <= SOLID, again.max(3) <= SOLID)),
-                ],
-                2,
-            )
         for own in batches(np.flatnonzero(whole[row]), few) if few else ():
-            share = _shares(opacity_of, part, material, triangles[own], row[own], few)
-            words_of[row[own[(share <= SOLID).all((1, 2, 3))]]] = solid
+            cells = np.broadcast_to(in_triangle(few), (len(own), few, few))
+            share = _shares(opacity_of, part, material, triangles[own], row[own], cells)
+            opaque = np.ones(cells.shape, np.bool_)
+            opaque[cells] = share.max(1) <= SOLID
+            words_of[row[own[opaque.all((1, 2))]]] = solid
     known = words_of >= 0
     known[known] = words.any((1, 2))[words_of[known]]
     first_row = np.where(known, words_of * side, -1)
     row = np.where(cut_outs.mask >= 0, first_row[cut_outs.mask], -1).astype(np.int32)
     return cut_outs.first, row, words.reshape(-1, 2), side if known.any() else 0
+
+
+@dataclass
+class Pattern:
+    """Triangles (n,) of a part that have a pattern, rows (n,) of CutOuts, and what is known of their R x R cells.
+
+    known: (2, n, R, R) bool, [.., q, p]: cells that are clear, and those that are opaque. open: (n, R, R) bool: those
+    that may be found to be so.
+    """
+
+    part: int
+    material: int
+    triangles: np.ndarray
+    row: np.ndarray
+    known: np.ndarray
+    open: np.ndarray
+
+    @classmethod
+    def unseen(cls, part: int, material: int, triangles: np.ndarray, row: np.ndarray, side: int) -> Pattern:
+        """Of side x side cells, of which nothing is known yet."""
+        known = np.zeros((2, len(row), side, side), np.bool_)
+        return cls(part, material, triangles, row, known, np.repeat(in_triangle(side)[None], len(row), 0))
+
+    @property
+    def side(self) -> int:
+        return self.known.shape[-1]
+
+    def halve(self) -> None:
+        """Divide all cells into two by two, of which is known what is known of the whole."""
+        self.known = self.known.repeat(2, 2).repeat(2, 3)
+        self.open = self.open.repeat(2, 1).repeat(2, 2) & in_triangle(self.side)
+
+    def look(self, opacity_of: PartOpacity) -> None:
+        """Look at the open cells: which of all are surely clear or opaque, and are so when looked at elsewhere.
+
+        None of a triangle where that refutes too many: its pattern, many tiles of a fence, say, is finer than the
+        cells, and neighbours that agree do so by chance.
+        """
+        for own in batches(np.arange(len(self.row)), self.side):
+            cells, known = self.open[own], self.known[:, own]
+            alike = known.copy()
+            alike[:, cells] = self._alike(opacity_of, own, self.row[own], cells)
+            sure = np.stack([surely(a) for a in alike])
+            again, still = (sure & cells).any(0), known.copy()
+            still[:, again] = self._alike(opacity_of, own, self.row[own] + ELSEWHERE, again)
+            refuted = (sure & ~still).sum((2, 3)) > REFUTED * sure.sum((2, 3))
+            self.known[:, own] = known = sure & still & ~refuted[..., None, None]
+            # what lies amid others that are neither will not be found to be clear or opaque in parts
+            self.open[own] = in_triangle(self.side) & ~known.any(0) & ~surely(~alike.any(0))
+
+    def _alike(
+        self, opacity_of: PartOpacity, own: np.ndarray, row: np.ndarray, cells: np.ndarray
+    ) -> np.ndarray:
+        """(2, N) bool: whether a place of each of the N `cells` (n, R, R) bool of triangles `own` is clear, opaque."""
+        share = _shares(opacity_of, self.part, self.material, self.triangles[own], row, cells)
+        return np.stack([share.min(1) >= CLEAR, share.max(1) <= SOLID])
+
+
+def _refine(opacity_of: PartOpacity, groups: list[tuple]) -> list[Pattern]:
+    """What is known of the patterned triangles of groups, as _to_know has them less those that are opaque as a whole.
+
+    Cells are halved as long as few are open: few looks find where outlines are not.
+    """
+    count = len(np.unique(np.concatenate([row for *_, row in groups]))) if groups else 0
+    most = _side(count / 2, FINEST)  # half of a lattice lies beyond the triangle
+    if not count or most < COARSEST:
+        return []
+    first = COARSEST << int(math.log2(most / COARSEST))
+    patterns = [Pattern.unseen(*group, first) for group in groups]
+    while True:
+        for pattern in patterns:
+            pattern.look(opacity_of)
+        side = 2 * patterns[0].side
+        looks = 4 * sum(int(p.open.sum()) for p in patterns)
+        if side > FINEST or not 0 < looks <= LOOKS or count * side**2 > MOST:
+            return patterns
+        for pattern in patterns:
+            pattern.halve()
 
 
 def _side(count: int, most: int) -> int:
@@ -80,28 +156,22 @@ def _side(count: int, most: int) -> int:
 
 
 def _shares(
-    opacity_of: PartOpacity, part: int, material: int, triangles: np.ndarray, row: np.ndarray, side: int
+    opacity_of: PartOpacity,
+    part: int,
+    material: int,
+    triangles: np.ndarray,
+    row: np.ndarray,
+    cells: np.ndarray,
 ) -> np.ndarray:
-    """(n, side, side, 3) share of light that passes triangles (n,) of a part at a place in each of their cells."""
-    u, v = (a.ravel() for a in lattice(side, row))
-    share = opacity_of.transparency(material, part, np.repeat(triangles, side * side), u, v)
-    return share.reshape(len(row), side, side, 3)
+    """(N, 3) share of light that passes triangles (n,) of a part at a place in each of N cells (n, R, R) bool."""
+    u, v = lattice(cells.shape[1], row)
+    index = np.nonzero(cells)[0]
+    return opacity_of.transparency(material, part, triangles[index], u[cells], v[cells])
 
 
 def _words(known: np.ndarray) -> np.ndarray:
     """(n, R) int64: a bit for each of the cells (n, R, R) that are known."""
     return (known * (np.int64(1) << np.arange(known.shape[1], dtype=np.int64))).sum(2)
-
-
-def _known(alike: np.ndarray, again: np.ndarray) -> np.ndarray:
-    """(n, R, R) bool: cells that are surely so, and are so when looked at elsewhere.
-
-    None of a triangle where that refutes too many: its pattern, many tiles of a fence, say, is finer than the cells,
-    and neighbours that agree do so by chance.
-    """
-    sure = surely(alike)
-    refuted = (sure & ~again).sum((1, 2))
-    return sure & again & (refuted <= REFUTED * sure.sum((1, 2)))[:, None, None]
 
 
 def surely(alike: np.ndarray) -> np.ndarray:

@@ -65,7 +65,10 @@ def _ignores_unused(params: dict, wanted: frozenset[str]) -> tuple[str, ...]:
 
 
 def _table(*columns: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(np.stack(np.broadcast_arrays(*columns), 1), np.float32)
+    out = np.empty((max(len(c) for c in columns), len(columns)), np.float32)
+    for k, column in enumerate(columns):
+        out[:, k] = column
+    return out
 
 
 class _Inputs(dict):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.shading.kernels.tables import fill_from_table
 from pointmr_engine.shading.nodes.registry import COLOR, FLOAT, VECTOR, Call, node
 from pointmr_engine.shading.values import mix
 
@@ -11,24 +12,17 @@ from pointmr_engine.shading.values import mix
 def look_up(
     table: np.ndarray, t: np.ndarray, interpolate: bool = True, extrapolate: bool = False
 ) -> np.ndarray:
-    """Values of a table (m,) or (m, k) over 0..1 at t (n,), linear between entries or stepped."""
-    last = len(table) - 1
-    position = np.clip(np.nan_to_num(t), 0, 1) * last
-    i = position.astype(np.int64)
-    value = table[i]
-    f = (position - i).astype(np.float32)
-    shape = (-1,) + (1,) * (table.ndim - 1)
-    if interpolate:
-        value = mix(value, table[np.minimum(i + 1, last)], f.reshape(shape))
-    if extrapolate and last > 0:
-        below, above = np.minimum(t, 0) * last, np.maximum(t - 1, 0) * last
-        value = value + below.reshape(shape) * (table[1] - table[0])
-        value = value + above.reshape(shape) * (table[-1] - table[-2])
-    return value
+    """(n, k) values of a table (m, k) over 0..1 at t (n,), linear between entries or stepped."""
+    out = np.empty((len(t), table.shape[1]), np.float32)
+    fill_from_table(table, np.ascontiguousarray(t, np.float32), interpolate, extrapolate, out)
+    return out
 
 
 def _prepare(params: dict) -> dict:
-    return {**params, "table": np.ascontiguousarray(params["table"], np.float32)}
+    return {
+        **params,
+        "table": np.array(params["table"], np.float32, order="C"),
+    }  # kernels know none that are read-only
 
 
 @node(
@@ -50,8 +44,9 @@ def _curves(c: Call, name: str) -> np.ndarray:
     t = (v - np.float32(low)) / np.float32(high - low)
     table, extrapolate = p["table"], p.get("extrapolate", True)
     if v.ndim == 1:
-        return mix(v, look_up(table.reshape(-1), t, True, extrapolate), c["fac"])
-    bent = np.stack([look_up(table[:, k], t[:, k], True, extrapolate) for k in range(3)], 1)
+        return mix(v, look_up(table.reshape(-1, 1), t, True, extrapolate)[:, 0], c["fac"])
+    columns = [np.ascontiguousarray(table[:, k : k + 1]) for k in range(3)]
+    bent = np.concatenate([look_up(a, t[:, k], True, extrapolate) for k, a in enumerate(columns)], 1)
     return mix(v, bent, c.vector("fac"))
 
 
