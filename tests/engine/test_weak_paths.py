@@ -1,4 +1,4 @@
-"""Textures of what weighs little: behind what passes little light at points, and of small fragments at a few."""
+"""Of what weighs little: what goes on, textures behind what passes little light, and those of small fragments."""
 
 import numpy as np
 import pytest
@@ -37,6 +37,17 @@ def test_only_what_passes_much_light_is_averaged(share, averages, monkeypatch):
     whole = image(behind_red_glass(1.0))[6:-6, 6:-6]
     assert seen[..., 0].mean() == pytest.approx(share * whole[..., 0].mean(), rel=0.02)
     assert whole[..., 0].mean() > 0.2 and np.abs(seen[..., 1:]).max() < 1e-6
+
+
+@pytest.mark.parametrize(("share", "even"), [(0.1, True), (0.04, True), (0.025, False)])
+def test_what_a_dark_pane_passes_goes_on_but_not_what_a_darker_one_does(share, even):
+    """From 0.03 on, what passes a first surface is not left to chance (scatter.WEAK)."""
+    scene = behind_red_glass(share)
+    shining = Graph({"e": Node("emission", {"strength": 1.0})}, surface=Link("e", "emission"))
+    scene.root.meshes[0].materials[0].graph = shining
+    seen = image(scene)[6:-6, 6:-6, 0]
+    assert seen.mean() == pytest.approx(share, rel=0.05)
+    assert (seen.std() < 1e-3 * share) == even
 
 
 def strips(across: float) -> Scene:

@@ -69,7 +69,7 @@ SPLIT = 0.4  # throughput of a first surface's lobes together from which each of
 CLEAR = 0.25  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 SHARP = 0.3  # roughness below which they are mirrors and clear glass: where a first one bends, what is behind is wider
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
-WEAK_CLEAR = 0.12  # ... and of what goes straight on: leaves behind leaves are many, and much alike ...
+WEAK_CLEAR = 0.12  # ... and of what goes straight on behind a first surface, for leaves are much alike ...
 WEAK_THROUGH = 0.5  # ... and of what passes leaves, behind which lights have been sampled
 THROUGH_ROUGH = 0.4  # of what passes leaves: what its rays stand for, as if it were this rough a lobe
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
@@ -187,7 +187,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         first, before = m, 0.0
         f = _branch(chosen, _largest(clear), before, target, total)
         before += max(_largest(clear), 0.0)
-        weak = WEAK_CLEAR if f > 0.0 else WEAK
+        weak = WEAK_CLEAR if f > 0.0 and bounce > 0 else WEAK
         if f > 0.0:
             pass_through(paths, k, out, m, hits, frames, limits, clear[0] * f, clear[1] * f, clear[2] * f)
             no_cone(record, m, STRAIGHT)
