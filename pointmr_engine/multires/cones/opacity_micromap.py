@@ -55,8 +55,7 @@ def build_micromap(opacity_of: PartOpacity, cut_outs) -> tuple[np.ndarray, np.nd
     words_of = np.full(len(whole), -1)
     words_of[patterned] = np.arange(len(patterned))
     for p in patterns:
-        for kind in (0, 1):
-            words[words_of[p.row], :, kind] = _words(p.known[kind])
+        words[words_of[p.row]] = _words(p.known)
     few = _side(sum(int(whole[row].sum()) for *_, row in groups), COARSEST)
     for part, material, triangles, row in groups:
         for own in batches(np.flatnonzero(whole[row]), few) if few else ():
@@ -156,13 +155,8 @@ def _side(count: int, most: int) -> int:
 
 
 def _shares(
-    opacity_of: PartOpacity,
-    part: int,
-    material: int,
-    triangles: np.ndarray,
-    row: np.ndarray,
-    cells: np.ndarray,
-) -> np.ndarray:
+    opacity_of: PartOpacity, part: int, material: int, triangles: np.ndarray, row: np.ndarray, cells: np.ndarray
+) -> np.ndarray:  # fmt: skip
     """(N, 3) share of light that passes triangles (n,) of a part at a place in each of N cells (n, R, R) bool."""
     u, v = lattice(cells.shape[1], row)
     index = np.nonzero(cells)[0]
@@ -170,8 +164,8 @@ def _shares(
 
 
 def _words(known: np.ndarray) -> np.ndarray:
-    """(n, R) int64: a bit for each of the cells (n, R, R) that are known."""
-    return (known * (np.int64(1) << np.arange(known.shape[1], dtype=np.int64))).sum(2)
+    """(n, R, 2) int64: a bit for each of the cells (2, n, R, R) that are known."""
+    return (known << np.arange(known.shape[-1], dtype=np.int64)).sum(-1).transpose(1, 2, 0)
 
 
 def surely(alike: np.ndarray) -> np.ndarray:

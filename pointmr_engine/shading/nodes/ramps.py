@@ -19,10 +19,8 @@ def look_up(
 
 
 def _prepare(params: dict) -> dict:
-    return {
-        **params,
-        "table": np.array(params["table"], np.float32, order="C"),
-    }  # kernels know none that are read-only
+    # a copy: for a table that is read-only, kernels would be compiled once more
+    return {**params, "table": np.array(params["table"], np.float32, order="C")}
 
 
 @node(
