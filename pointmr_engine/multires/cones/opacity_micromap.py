@@ -149,7 +149,7 @@ def _refine(opacity_of: PartOpacity, groups: list[tuple]) -> list[Pattern]:
             pattern.halve()
 
 
-def _side(count: int, most: int) -> int:
+def _side(count: float, most: int) -> int:
     """Cells along the edges of `count` triangles, for no more looks than LOOKS."""
     return int(min(math.sqrt(LOOKS / max(count, 1)), most))
 

@@ -14,7 +14,8 @@ def look_up(
 ) -> np.ndarray:
     """(n, k) values of a table (m, k) over 0..1 at t (n,), linear between entries or stepped."""
     out = np.empty((len(t), table.shape[1]), np.float32)
-    fill_from_table(table, np.ascontiguousarray(t, np.float32), interpolate, extrapolate, out)
+    table, t = np.ascontiguousarray(table, np.float32), np.ascontiguousarray(t, np.float32)
+    fill_from_table(table, t, interpolate, extrapolate, out)
     return out
 
 
@@ -43,8 +44,7 @@ def _curves(c: Call, name: str) -> np.ndarray:
     table, extrapolate = p["table"], p.get("extrapolate", True)
     if v.ndim == 1:
         return mix(v, look_up(table.reshape(-1, 1), t, True, extrapolate)[:, 0], c["fac"])
-    columns = [np.ascontiguousarray(table[:, k : k + 1]) for k in range(3)]
-    bent = np.concatenate([look_up(a, t[:, k], True, extrapolate) for k, a in enumerate(columns)], 1)
+    bent = np.concatenate([look_up(table[:, k : k + 1], t[:, k], True, extrapolate) for k in range(3)], 1)
     return mix(v, bent, c.vector("fac"))
 
 
