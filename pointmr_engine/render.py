@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from pointmr_engine.warm import Helper, describe
 
 TILE_SIZES = (128, 64, 32, 16)
 MOST_SIZE = 64  # of many samples a pixel
+MANY_SAMPLES = 4_000_000  # of an image: worth to fork for, whatever is seen
 SPLATTED = ("raytrace", "forward")  # methods that draw samples ...
 WALKED = ("raytrace", "conventional", "distributed")  # ... and those that walk rays
 
@@ -336,7 +338,13 @@ def _tile_size(width: int, height: int, samples: int, batch: int) -> int:
 
 def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame, Counter]:
     from pointmr_engine.image.film import Film
-    from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes, shared_zeros
+    from pointmr_engine.image.tile_workers import (
+        can_fork,
+        finished_tiles,
+        share_passes,
+        shared_zeros,
+        worth_a_fork,
+    )
     from pointmr_engine.raytracing.integrator import BATCH, Workspace
 
     film = Film(settings)
@@ -348,10 +356,10 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
     place = {bounds: k for k, bounds in enumerate(tiles)}
     counters: Counter = Counter()
     apart = settings.processes and can_fork(len(tiles), settings.threads)
-    if apart:
-        share_passes(film.frame)
+    seconds: dict[tuple, float] = {}  # of a core, by tile
 
     def work(bounds):
+        begun = thread_time()
         try:
             space = spaces.pop()
         except IndexError:
@@ -369,14 +377,14 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
         film.finish_tile(sums)
         counted = space.counters.copy()
         spaces.append(space)
-        return bounds, counted, film.bad[bounds]
+        return bounds, counted, film.bad[bounds], thread_time() - begun
 
     def render(tiles, apart):
         warnings = film.frame.warnings
         with closing(finished_tiles(work, tiles, settings.threads, apart, warnings, stop)) as finished:
             for tile in finished:
                 if tile is not None:
-                    bounds, counted, film.bad[bounds] = tile
+                    bounds, counted, film.bad[tile[0]], seconds[tile[0]] = tile
                     left, low, right, high = bounds
                     counters.update(counted)
                     block = film.frame.passes["combined"][low - y0 : high - y0, left - x0 : right - x0]
@@ -385,7 +393,13 @@ def _render_tiles(stage, settings: RenderSettings, clock: _Clock) -> tuple[Frame
 
     with _warm_lock:
         if not _warm.is_set():
-            render([tiles.pop(0)], False)
+            render([tiles.pop(len(tiles) // 2)], False)
             _warm.set()
-    render(tiles, apart)
+    many = total >= MANY_SAMPLES
+    if apart and not many and not seconds:  # one tells how long the others will take
+        render([tiles.pop(len(tiles) // 2)], False)
+    fork = apart and (many or worth_a_fork(tiles, seconds))
+    if fork:
+        share_passes(film.frame)
+    render(tiles, fork)
     return film.result(), counters

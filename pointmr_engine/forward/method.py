@@ -29,7 +29,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.octree import build_octree, triangle_corners
 from pointmr_engine.hierarchy.sample_sets import SampleSets
 from pointmr_engine.image.frame import Frame
-from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes
+from pointmr_engine.image.tile_workers import can_fork, finished_tiles, share_passes, worth_a_fork
 from pointmr_engine.raytracing.camera import CameraArrays
 from pointmr_engine.raytracing.compile_lamps import compile_lamps
 from pointmr_engine.raytracing.environment import Environment
@@ -59,7 +59,8 @@ class Sampler:
         self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
         self.warm = False  # an image has been rendered: what its tiles ask for is there
         self.sets: dict[tuple, SampleSets] = {}
-        self.seconds: dict[tuple, float] = {}  # of a core, that each tile of the last image took
+        self.seconds: dict[tuple, float] = {}  # of a core, that each tile of the last image took,
+        self.seconds_fit: tuple = ()  # and what buffers that one needed
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
 
@@ -265,12 +266,11 @@ def render_image(
     image.prepare(lambda: tell(0.0, None))
     threads, sampler = image.settings.threads, image.sampler
     apart = image.apart and image.settings.processes and can_fork(len(tiles), threads)
-    if apart:
-        share_passes(frame)
     counters: Counter = Counter(image.drawn.counts if image.drawn is not None else {})
     spaces: list[Workspace] = []  # that no thread uses
     total, left, missing, stop = len(tiles), set(tiles), [], threading.Event()
     seconds: dict[tuple, float] = {}  # of a core, by tile
+    known = sampler.seconds if sampler.seconds_fit == image.fits else {}
 
     def work(bounds):
         begun = thread_time()
@@ -305,13 +305,16 @@ def render_image(
     try:
         while left:
             # longest first, as the last image had them, or cores would wait for one that began last
-            tiles, missing = sorted(left, key=lambda tile: (-sampler.seconds.get(tile, 0.0), tile)), []
+            tiles, missing = sorted(left, key=lambda tile: (-known.get(tile, 0.0), tile)), []
             # one alone: numba's dispatchers must not meet new types on two threads at once, and what it asks to be made
             # for all the image, processes would have to make one by one
             if not _warm.is_set() or (apart and not sampler.warm):
                 render([tiles.pop(len(tiles) // 2)], False)
             if tiles:  # which mostly miss sets, too, if that one does
-                render(tiles, apart and not missing)
+                fork = apart and not missing and worth_a_fork(tiles, known or seconds)
+                if fork:
+                    share_passes(frame)
+                render(tiles, fork)
             if missing:
                 image.build(np.unique(np.concatenate(missing)), tell)
             else:
@@ -319,7 +322,7 @@ def render_image(
                 sampler.warm = True
     finally:
         image.finish()
-    sampler.seconds = seconds
+    sampler.seconds, sampler.seconds_fit = seconds, image.fits
     sampler.keep(image, spaces)
     return counters
 

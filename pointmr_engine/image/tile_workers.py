@@ -2,19 +2,21 @@
 
 Between its kernels a tile runs Python, and numpy on short arrays. Threads take turns at that (the interpreter's lock),
 and each turn finds its data in the other core's cache. Forked processes share the scene, which nobody changes
-meanwhile, and have an interpreter each (`python -m benchmarks.tile_workers` measures both).
+meanwhile, and have an interpreter each, but take 0.2 s to start and to end (`python -m benchmarks.tile_workers`
+measures both).
 """
 
 from __future__ import annotations
 
 import ctypes
 import gc
+import math
 import mmap
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from multiprocessing import active_children, get_context
 from pathlib import Path
@@ -27,6 +29,7 @@ from pointmr_engine.image.frame import Frame
 TOLD = 0.1  # seconds after which callers hear that nothing is finished
 MEASURED = 2.0  # seconds between looks at the memory of processes
 TILES = 2  # for each process at least: fewer are not worth to fork for
+WORTH = 6.0  # seconds of a core: less work is done by threads before processes have made up for their start
 _PR_SET_PDEATHSIG = 1
 
 Bounds = tuple[int, int, int, int]
@@ -38,6 +41,17 @@ def can_fork(tiles: int, threads: int) -> bool:
     """Whether so many tiles are rendered by processes where that is asked for: on Linux, and by more than one."""
     count = threads or os.cpu_count() or 1
     return sys.platform == "linux" and 1 < count and TILES * count <= tiles
+
+
+def worth_a_fork(tiles: Iterable[Bounds], seconds: Mapping[Bounds, float]) -> bool:
+    """Whether tiles will take WORTH, by the seconds of a core that some took; True where none are known."""
+    pixels = sum(map(_area, seconds))
+    rate = sum(seconds.values()) / pixels if pixels else math.inf
+    return sum(seconds.get(tile, rate * _area(tile)) for tile in tiles) >= WORTH
+
+
+def _area(bounds: Bounds) -> int:
+    return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
 
 
 def most_memory() -> int:

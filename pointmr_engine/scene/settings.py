@@ -148,8 +148,8 @@ class RenderSettings:
     pass_alpha_threshold: float = 0.5
     passes: tuple[str, ...] = ("combined", "depth")
     threads: int = 0  # 0: one per core
-    # tiles of rays by processes forked from this one instead of by threads, on Linux: faster (image/tile_workers.py),
-    # but not for programs that own windows
+    # tiles of rays by processes forked from this one instead of by threads, on Linux, where that is faster
+    # (image/tile_workers.py); not for programs that own windows
     processes: bool = False
     forward: ForwardSettings = field(default_factory=ForwardSettings)  # of method "forward" alone
     raytrace: RaytraceSettings = field(default_factory=RaytraceSettings)  # of method "raytrace" alone

@@ -15,7 +15,7 @@ from small_scenes import lit_floor
 
 from pointmr_engine import RenderSettings, render
 from pointmr_engine.image import tile_workers
-from pointmr_engine.image.tile_workers import can_fork, finished_tiles, most_memory
+from pointmr_engine.image.tile_workers import can_fork, finished_tiles, most_memory, worth_a_fork
 from pointmr_engine.render import Cache, Cancelled
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -116,6 +116,7 @@ def test_few_tiles_and_single_threads_are_not_worth_a_fork():
 @pytest.mark.parametrize("method", ["raytrace", "distributed"])
 def test_processes_render_what_threads_do(method, monkeypatch):
     monkeypatch.setattr(tile_workers, "MEASURED", 0.0)
+    monkeypatch.setattr(tile_workers, "WORTH", 0.0)
     scene = lit_floor()
     settings = RenderSettings(
         200, 150, method=method, samples=2, threads=2, passes=("combined", "depth", "normal")
@@ -130,6 +131,26 @@ def test_processes_render_what_threads_do(method, monkeypatch):
         assert by_processes.stats["counters"] == by_threads.stats["counters"]
         assert not by_processes.warnings
     assert max(told) == 1.0 and most_memory() > 0
+
+
+def test_what_tiles_will_take_follows_from_those_that_are_known():
+    squares, worth = [(k, 0, k + 2, 2) for k in range(6)], tile_workers.WORTH
+    assert worth_a_fork(squares, {})
+    assert worth_a_fork(squares, {(0, 0, 1, 1): worth / 24.0})
+    assert not worth_a_fork(squares, {(0, 0, 1, 1): 0.9 * worth / 24.0})
+    assert not worth_a_fork(squares, dict.fromkeys(squares, 0.9 * worth / 6.0))
+    assert worth_a_fork(squares, dict.fromkeys(squares, 0.0) | {squares[3]: worth})
+
+
+@forks
+@pytest.mark.parametrize("method", ["raytrace", "conventional"])
+def test_short_images_are_rendered_by_threads(method):
+    """A second one, at least, whose kernels are there."""
+    settings = RenderSettings(200, 150, method=method, threads=2, processes=True)
+    scene, cache, children = lit_floor(), Cache(), []
+    render(scene, settings, cache=cache)
+    render(scene, settings, lambda *told: children.append(len(active_children())), cache)
+    assert children and not any(children)
 
 
 def test_tiles_that_took_longest_begin_first():
@@ -152,7 +173,8 @@ def test_tiles_that_took_longest_begin_first():
 
 
 @forks
-def test_a_cancelled_image_leaves_no_process():
+def test_a_cancelled_image_leaves_no_process(monkeypatch):
+    monkeypatch.setattr(tile_workers, "WORTH", 0.0)
     settings = RenderSettings(200, 150, method="distributed", samples=16, threads=2, processes=True)
     render(lit_floor(), settings)
     seen = []
