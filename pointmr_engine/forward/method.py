@@ -291,11 +291,10 @@ def render_image(
         with closing(finished_tiles(work, tiles, threads, apart, frame.warnings, stop)) as finished:
             for tile in finished:
                 if tile is not None:
-                    bounds, found, counted, took = tile
+                    bounds, found, counted, seconds[tile[0]] = tile
                     counters.update(counted)
                     if found is None:
                         left.discard(bounds)
-                        seconds[bounds] = took
                         x, y = bounds[0] - x0, bounds[1] - y0
                         block = frame.passes["combined"][y : bounds[3] - y0, x : bounds[2] - x0]
                         tell(1.0 - len(left) / total, (x, y, block.copy()))

@@ -11,11 +11,9 @@ from multiprocessing import active_children
 
 import numpy as np
 import pytest
-from instanced import sphere
 from small_scenes import lit_floor
 
-from pointmr_engine import Mesh, RenderSettings, principled, render
-from pointmr_engine.forward import method as forward
+from pointmr_engine import RenderSettings, render
 from pointmr_engine.image import tile_workers
 from pointmr_engine.image.tile_workers import can_fork, finished_tiles, most_memory, worth_a_fork
 from pointmr_engine.render import Cache, Cancelled
@@ -153,28 +151,6 @@ def test_short_images_are_rendered_by_threads(method):
     render(scene, settings, cache=cache)
     render(scene, settings, lambda *told: children.append(len(active_children())), cache)
     assert children and not any(children)
-
-
-@forks
-def test_tiles_that_wait_for_sets_do_not_tell_how_long_they_take(monkeypatch):
-    """They have not been shaded: a first image would take threads for less than it is."""
-    positions, triangles = sphere(200, 300)
-    ball = Mesh("ball", positions, triangles, materials=(principled("ball"),))
-    finished, known = set(), []
-
-    def told(fraction, text, tile):
-        if tile is not None:
-            finished.add((tile.x, tile.y))
-
-    def note(tiles, seconds):
-        known.append(({bounds[:2] for bounds in seconds}, set(finished)))
-        return False
-
-    monkeypatch.setattr(forward, "worth_a_fork", note)
-    settings = RenderSettings(200, 150, method="raytrace", threads=2, processes=True)
-    frame = render(lit_floor(ball), settings, told)
-    assert frame.stats["needs"]["sample_sets"] > 0
-    assert known and all(tiles == before and 0 < len(tiles) for tiles, before in known)
 
 
 def test_tiles_that_took_longest_begin_first():
