@@ -311,7 +311,7 @@ def render_image(
             if not _warm.is_set() or (apart and not sampler.warm):
                 render([tiles.pop(len(tiles) // 2)], False)
             if tiles:  # which mostly miss sets, too, if that one does
-                fork = apart and not missing and worth_a_fork(tiles, known or seconds)
+                fork = apart and not missing and worth_a_fork(tiles, known)
                 if fork:
                     share_passes(frame)
                 render(tiles, fork)
