@@ -59,8 +59,8 @@ class Sampler:
         self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
         self.warm = False  # an image has been rendered: what its tiles ask for is there
         self.sets: dict[tuple, SampleSets] = {}
-        self.seconds: dict[tuple, float] = {}  # of a core, that each tile of the last image took,
-        self.seconds_fit: tuple = ()  # and what buffers that one needed
+        # of a core, that each tile of the last image took, by what its buffers fit
+        self.seconds: dict[tuple, dict[tuple, float]] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
 
@@ -270,7 +270,7 @@ def render_image(
     spaces: list[Workspace] = []  # that no thread uses
     total, left, missing, stop = len(tiles), set(tiles), [], threading.Event()
     seconds: dict[tuple, float] = {}  # of a core, by tile
-    known = sampler.seconds if sampler.seconds_fit == image.fits else {}
+    known = sampler.seconds.get(image.fits, {})
 
     def work(bounds):
         begun = thread_time()
@@ -322,7 +322,7 @@ def render_image(
                 sampler.warm = True
     finally:
         image.finish()
-    sampler.seconds, sampler.seconds_fit = seconds, image.fits
+    sampler.seconds[image.fits] = seconds
     sampler.keep(image, spaces)
     return counters
 
