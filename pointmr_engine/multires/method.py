@@ -47,7 +47,7 @@ def primary_settings(settings: RenderSettings, alpha: bool) -> RenderSettings:
 class TracedImage(Image):
     """One image of method "raytrace": everything that its tiles share."""
 
-    apart = True
+    apart = coloured = True
 
     def __init__(self, sampler, scene, stage: Stage, settings: RenderSettings):
         if stage.needs.transparent_shadows:
@@ -88,9 +88,8 @@ class TracedImage(Image):
         return TracedShading(self)
 
     def choose_cut_outs(self):
-        """Colours pass by rays, but where the film wants one opacity of all that do not go by the view."""
-        self.coloured = not self.settings.film_transparent or any(p.turns for p in self.sampler.programs)
-        return self.sampler.densest_cut_outs if self.coloured else super().choose_cut_outs()
+        """What some channels let through besides passes by rays, and counts against the film's opacity there."""
+        return self.sampler.densest_cut_outs
 
     @property
     def fits(self) -> tuple:

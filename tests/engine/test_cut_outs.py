@@ -186,10 +186,23 @@ def test_wide_lobes_see_through_holes_and_not_through_their_mean(secondary):
     assert found == pytest.approx(exact, rel=0.05)
 
 
-def test_transparent_film_takes_one_opacity_of_all_channels():
-    chosen = RenderSettings(32, 32, method="raytrace", film_transparent=True)
-    found = render(stained(), chosen).passes["combined"]
-    assert found[15:17, 10:12, 3].mean() == pytest.approx(1.0 - 1.3 / 3, abs=0.05)
+@pytest.mark.parametrize("visibility", ["masks", "alpha"])
+@pytest.mark.parametrize("secondary", ["cones", "rays"])
+def test_a_transparent_film_has_one_opacity_of_all_channels_and_colours_what_lies_behind(
+    secondary, visibility
+):
+    scene = stained()
+    pane = scene.root.meshes[0].materials[0]
+    glow = Material(
+        "glow",
+        Graph({"light": Node("emission", {"color": (1.0, 1.0, 1.0)})}, surface=Link("light", "emission")),
+    )
+    scene.root.meshes[:] = [quad(1.0, 0.0, pane), quad(0.5, -0.3, glow)]
+    raytrace = RaytraceSettings(secondary=secondary, visibility=visibility)
+    chosen = RenderSettings(32, 32, method="raytrace", film_transparent=True, raytrace=raytrace)
+    found = render(scene, chosen).passes["combined"]
+    np.testing.assert_allclose(found[14:18, 14:18].mean((0, 1)), (0.9, 0.3, 0.1, 1.0), atol=0.02)
+    np.testing.assert_allclose(found[14:18, 9:11].mean((0, 1)), (0.0, 0.0, 0.0, 1.0 - 1.3 / 3), atol=0.02)
 
 
 def striped(colour: Link | tuple) -> Material:

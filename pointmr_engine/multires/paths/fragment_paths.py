@@ -233,8 +233,8 @@ class FragmentPaths(Workspace):
         self.curved[:count], self.shape[:count] = 0.0, 0.0
         self.own_slopes.known[:count] = False
         self.coloured[:count] = False
-        self.coloured[triangles] = image.coloured
-        self.by_view[:count] = image.coloured & image.by_view[frame.material[:count]]
+        self.coloured[triangles] = True
+        self.by_view[:count] = image.by_view[frame.material[:count]]
         self.coloured[:count] |= self.by_view[:count]
         tables = self.stage.shader.geometry.tables
         spread_of_curvature(
