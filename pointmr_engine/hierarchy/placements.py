@@ -82,6 +82,21 @@ def placements(geometry: Geometry, wanted: np.ndarray, limit: int = 1_000_000) -
     )
 
 
+def times_placed(geometry: Geometry) -> np.ndarray:
+    """(parts,) float64: how often each part is placed in the world, those that nobody sees included."""
+    tables, times = geometry.instances, np.zeros(len(geometry.groups))
+    times[-1:] = 1.0
+    result = np.zeros(len(geometry.parts))
+    for g in reversed(range(len(times))):  # parents before children
+        np.add.at(result, geometry.group_parts[g], times[g])
+        for b in geometry.group_batches[g]:
+            batch, first = geometry.batches[b], tables.group_first[b]
+            which = np.zeros(len(batch), np.int64) if batch.group_index is None else batch.group_index
+            used = np.bincount(which, minlength=len(batch.groups))
+            np.add.at(times, tables.batch_groups[first : first + len(used)], times[g] * used)
+    return result
+
+
 def _children(geometry: Geometry, g: int) -> list[int]:
     tables, result = geometry.instances, []
     for b in geometry.group_batches[g]:

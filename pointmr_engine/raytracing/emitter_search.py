@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.hierarchy.geometry import Geometry, slot_materials, triangle_materials
-from pointmr_engine.hierarchy.placements import Placements, placements
+from pointmr_engine.hierarchy.placements import Placements, placements, times_placed
 from pointmr_engine.raytracing.emitters import BACK, FRONT, Emitters, pack_emitters
 from pointmr_engine.raytracing.surface import emitting_points
 from pointmr_engine.scene.graph import Graph, Link
@@ -79,20 +79,21 @@ def find_emitters(
 
     Returns them, the material of each (E,) int32, where they were found, and warnings.
     programs: one Program per geometry.materials. Beyond the limit emission is still seen by rays that meet it.
-    every: all that shines, not only what its material wants sampled, but for what has too many triangles (MOST_LEFT).
+    every: all that shines, not only what its material wants sampled, but for parts with too many triangles (MOST_LEFT).
     """
-    sides = _sides(geometry, programs, every)
+    wanted, all_ = (_sides(geometry, programs, whole) for whole in (False, every))
     local = {}
-    if any(sides):
+    if all_.any():
+        few = _few_left(geometry, all_ != wanted)
         for part in range(len(geometry.parts)):
-            found = _part_emitters(geometry, part, np.asarray(sides, np.uint8))
+            found = _part_emitters(geometry, part, all_ if few[part] else wanted)
             if found is not None:
                 local[part] = found
     if not local:
         return *pack_emitters([], np.zeros(0, np.bool_)), None, []
-    wanted = np.zeros(len(geometry.parts), np.bool_)
-    wanted[list(local)] = True
-    places = placements(geometry, wanted, MOST_EMITTERS)
+    lit_by = np.zeros(len(geometry.parts), np.bool_)
+    lit_by[list(local)] = True
+    places = placements(geometry, lit_by, MOST_EMITTERS)
     counts = np.zeros(len(geometry.parts), np.int64)
     for part, found in local.items():
         counts[part] = len(found.triangle)
@@ -113,22 +114,27 @@ def find_emitters(
     return *pack_emitters(blocks, varying), places, warnings
 
 
-def _sides(geometry: Geometry, programs: list, every: bool) -> list[int]:
-    """FRONT and BACK bits of each material that are sampled."""
-    materials = list(zip(geometry.materials, programs, strict=True))
-    wanted = [sampled_sides(m, p) for m, p in materials]
-    if not every:
-        return wanted
-    all_ = [sampled_sides(m, p, every=True) for m, p in materials]
-    left = np.array([a != w for a, w in zip(all_, wanted, strict=True)], np.bool_)
-    if not left.any():
-        return wanted
+def _sides(geometry: Geometry, programs: list, every: bool) -> np.ndarray:
+    """(materials,) uint8: FRONT and BACK bits of each material that are sampled."""
+    materials = zip(geometry.materials, programs, strict=True)
+    return np.array([sampled_sides(m, p, every) for m, p in materials], np.uint8)
+
+
+def _few_left(geometry: Geometry, left: np.ndarray) -> np.ndarray:
+    """(parts,) bool: those whose triangles of materials `left` (materials,) bool are few enough through all instances.
+
+    Together they are no more than MOST_LEFT; the fewest come first, so that a panel is a lamp beside glowing leaves.
+    """
     counts = np.zeros(len(geometry.parts), np.int64)
-    for part in range(len(geometry.parts)):
-        if left[slot_materials(geometry, part)].any():
-            counts[part] = left[triangle_materials(geometry, part)].sum()
-    places = placements(geometry, counts > 0, MOST_LEFT + 1)
-    return all_ if counts[places.part].sum() <= MOST_LEFT else wanted
+    if left.any():
+        for part in range(len(geometry.parts)):
+            if left[slot_materials(geometry, part)].any():
+                counts[part] = left[triangle_materials(geometry, part)].sum()
+    placed = counts * times_placed(geometry)
+    order = np.argsort(placed, kind="stable")
+    few = np.zeros(len(placed), np.bool_)
+    few[order] = np.cumsum(placed[order]) <= MOST_LEFT
+    return few
 
 
 class _PartEmitters(NamedTuple):

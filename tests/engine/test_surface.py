@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from instanced import accelerate, cast, nest, random_mesh, random_transforms, sphere
 
-from pointmr_engine.hierarchy.placements import placements
+from pointmr_engine.hierarchy.placements import placements, times_placed
 from pointmr_engine.raytracing import surface
 from pointmr_engine.raytracing.frames import veil_frames
 from pointmr_engine.scene.group import CAMERA, Group, Instances, instance
@@ -365,6 +365,7 @@ def test_placements_are_what_rays_find():
     geometry, acceleration = accelerate(root)
     found = placements(geometry, np.array([mesh is lit for mesh in geometry.parts]))
     assert len(found.part) == 2 * 3  # 2 of 3 outer, 3 of 6 inner: lit, visible
+    assert list(times_placed(geometry)) == [3 * 4 if mesh is lit else 3 * 6 for mesh in geometry.parts]
     assert len(placements(geometry, np.ones(2, np.bool_), limit=4).part) == 4
     assert not len(placements(geometry, np.zeros(2, np.bool_)).part)
     by_path = {int(path): i for i, path in enumerate(found.path)}

@@ -11,7 +11,7 @@ from pointmr_engine.multires.cone_light import sampled_lights
 from pointmr_engine.raytracing.emitter_search import find_emitters
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
-from pointmr_engine.scene.group import CAMERA, DIFFUSE, SHADOW, VISIBLE, instance
+from pointmr_engine.scene.group import CAMERA, DIFFUSE, SHADOW, VISIBLE, Instances, instance
 from pointmr_engine.shading.program import compile_graph
 from tests.engine.small_scenes import from_above, half_a_sky, quad
 from tests.engine.test_raytrace_light import DARK, card, image
@@ -78,6 +78,19 @@ def test_haze_is_no_light():
         programs = [compile_graph(m.graph) for m in geometry.materials]
         assert len(find_emitters(geometry, programs, every=True)[0].path) == found
         assert len(find_emitters(geometry, programs)[0].path) == 0
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_a_panel_is_a_light_beside_haze_of_its_material(times):
+    """All or none of what a material left to chance was sampled: a glowing floor lost its light to what stood on it."""
+    faint = shining(0.2, "AUTO")
+    panel, haze = Group("panel", [quad(1.0, 2.0, faint)]), Group("haze", [grid(90, faint)])
+    places = np.tile(np.eye(4)[:3], (times, 1, 1))
+    root = Group("root", instances=[Instances((haze,), places), Instances((panel,), places)])
+    geometry = compile_geometry(Scene(root, from_above(5.0), [], DARK))
+    programs = [compile_graph(m.graph) for m in geometry.materials]
+    found = len(find_emitters(geometry, programs, every=True)[0].path)
+    assert found == (2 * 90**2 + 2 if times == 1 else 2 * times)
 
 
 @pytest.mark.parametrize("sampling", ["AUTO", "NONE"])
