@@ -93,6 +93,18 @@ def test_a_panel_is_a_light_beside_haze_of_its_material(times):
     assert found == (2 * 90**2 + 2 if times == 1 else 2 * times)
 
 
+def test_a_panel_lights_beside_haze_of_its_material():
+    faint = shining(0.4, "AUTO")
+    far = instance(
+        Group("haze", [grid(128, faint)]), np.array([[1, 0, 0, 400], [0, 1, 0, 0], [0, 0, 1, 0.0]])
+    )
+    walls = [card("wall", [(-1, 1, 0.1), (1, 1, 0.1), (1, 1, 2), (-1, 1, 2)], faint)]
+    scene = Scene(Group("root", [quad(2.0, material=GREY), *walls], [far]), from_above(5.0), [], DARK)
+    exact = image(scene, method="distributed", samples=1024)[:24].mean()
+    assert exact > 0.004
+    assert image(scene, cones=4)[:24].mean() == pytest.approx(exact, rel=0.03)
+
+
 @pytest.mark.parametrize("sampling", ["AUTO", "NONE"])
 def test_a_glow_is_no_light(sampling):
     """Wax that glows by a few hundredths took most of the samples on itself from the flame above it."""
