@@ -91,9 +91,9 @@ def find_emitters(
                 local[part] = found
     if not local:
         return *pack_emitters([], np.zeros(0, np.bool_)), None, []
-    lit_by = np.zeros(len(geometry.parts), np.bool_)
-    lit_by[list(local)] = True
-    places = placements(geometry, lit_by, MOST_EMITTERS)
+    emitting = np.zeros(len(geometry.parts), np.bool_)
+    emitting[list(local)] = True
+    places = placements(geometry, emitting, MOST_EMITTERS)
     counts = np.zeros(len(geometry.parts), np.int64)
     for part, found in local.items():
         counts[part] = len(found.triangle)
@@ -126,10 +126,11 @@ def _few_left(geometry: Geometry, left: np.ndarray) -> np.ndarray:
     Together they are no more than MOST_LEFT; the fewest come first, so that a panel is a lamp beside glowing leaves.
     """
     counts = np.zeros(len(geometry.parts), np.int64)
-    if left.any():
-        for part in range(len(geometry.parts)):
-            if left[slot_materials(geometry, part)].any():
-                counts[part] = left[triangle_materials(geometry, part)].sum()
+    if not left.any():
+        return counts == 0
+    for part in range(len(geometry.parts)):
+        if left[slot_materials(geometry, part)].any():
+            counts[part] = left[triangle_materials(geometry, part)].sum()
     placed = counts * times_placed(geometry)
     order = np.argsort(placed, kind="stable")
     few = np.zeros(len(placed), np.bool_)
