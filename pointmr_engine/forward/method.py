@@ -128,7 +128,8 @@ class Image:
         )
         self.spacing = self.subpixels / options.samples_per_pixel**0.5
         self.sets = sampler.sets_of(options)
-        self.cut_outs = self.choose_cut_outs()
+        # the opacity that triangles with holes are drawn by
+        self.cut_outs = sampler.densest_cut_outs if self.coloured else sampler.cut_outs
         self.sigma = scattered.sigma(options.samples_per_pixel)
         kind = "box" if options.reconstruction == "pixel" else settings.pixel_filter
         self.taps = filter_taps(kind, settings.filter_width, self.subpixels)
@@ -199,10 +200,6 @@ class Image:
             from pointmr_engine.forward.points_method import PointSpace
 
             self.space_of = PointSpace
-
-    def choose_cut_outs(self):
-        """The opacity that triangles with holes are drawn by."""
-        return self.sampler.cut_outs
 
     def space(self) -> Workspace:
         """A thread's buffers for tiles."""

@@ -90,9 +90,7 @@ def times_placed(geometry: Geometry) -> np.ndarray:
     for g in reversed(range(len(times))):  # parents before children
         np.add.at(result, geometry.group_parts[g], times[g])
         for b in geometry.group_batches[g]:
-            batch, first = geometry.batches[b], tables.group_first[b]
-            which = np.zeros(len(batch), np.int64) if batch.group_index is None else batch.group_index
-            used = np.bincount(which, minlength=len(batch.groups))
+            first, used = tables.group_first[b], geometry.batches[b].times_used()
             np.add.at(times, tables.batch_groups[first : first + len(used)], times[g] * used)
     return result
 

@@ -87,10 +87,6 @@ class TracedImage(Image):
     def choose_shading(self):
         return TracedShading(self)
 
-    def choose_cut_outs(self):
-        """What some channels let through besides passes by rays, and counts against the film's opacity there."""
-        return self.sampler.densest_cut_outs
-
     @property
     def fits(self) -> tuple:
         return *super().fits, self.space_of.__name__, len(self.views)

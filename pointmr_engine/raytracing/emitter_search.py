@@ -81,7 +81,8 @@ def find_emitters(
     programs: one Program per geometry.materials. Beyond the limit emission is still seen by rays that meet it.
     every: all that shines, not only what its material wants sampled, but for parts with too many triangles (MOST_LEFT).
     """
-    wanted, all_ = (_sides(geometry, programs, whole) for whole in (False, every))
+    wanted = _sides(geometry, programs, False)
+    all_ = _sides(geometry, programs, True) if every else wanted
     local = {}
     if all_.any():
         few = _few_left(geometry, all_ != wanted)

@@ -46,6 +46,11 @@ class Instances:
     def __len__(self) -> int:
         return len(self.transforms)
 
+    def times_used(self) -> np.ndarray:
+        """(groups,) int64: how many placements each of `groups` has."""
+        which = np.zeros(len(self), np.int64) if self.group_index is None else self.group_index
+        return np.bincount(which, minlength=len(self.groups))
+
 
 def instance(group: Group, transform: np.ndarray | None = None, **values) -> Instances:
     """One placement of `group`; transform 4x4 or 3x4 parent_from_group, identity by default.
@@ -127,11 +132,7 @@ def count_triangles(root: Group) -> tuple[int, int, int]:
             unique[id(m.triangles)] = len(m.triangles)
         deepest = 0
         for inst in g.instances:
-            used = np.bincount(
-                np.zeros(len(inst), np.int64) if inst.group_index is None else inst.group_index,
-                minlength=len(inst.groups),
-            )
-            own += sum(int(n) * total[id(c)] for n, c in zip(used, inst.groups, strict=True))
+            own += sum(int(n) * total[id(c)] for n, c in zip(inst.times_used(), inst.groups, strict=True))
             deepest = max([deepest] + [depth[id(c)] + 1 for c in inst.groups])
         total[id(g)], depth[id(g)] = own, deepest
     return sum(unique.values()), total[id(root)], depth[id(root)]

@@ -78,7 +78,7 @@ def no_cut_outs(parts: int) -> CutOuts:
 
 def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Source]]:
     """The cut-outs of all parts whose materials let light through: by their mean opacity, and by that of the channel
-    that they block most, for methods whose rays pass what goes through the others (Image.choose_cut_outs); and what
+    that they block most, for methods whose rays pass what goes through the others (Image.coloured); and what
     they are samples of.
     """
     geometry, programs = opacity_of.geometry, opacity_of.programs
