@@ -1,4 +1,4 @@
-"""What can be rendered by name: .blend files, the small feature scenes, and real scenes with a driver."""
+"""What can be rendered by name: .blend files, feature scenes, random scenes, and real scenes with a driver."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Source:
     content: str
     size: tuple[int, int]
     overrides: dict = field(default_factory=dict)
-    kind: str = "blend"  # "feature", "real" or "blend"
+    kind: str = "blend"  # "feature", "random", "real" or "blend"
     path: Path | None = None
 
     @property
@@ -75,27 +75,33 @@ def exported():
 
 
 def find(name: str) -> Source:
-    """The source of a name: a path to a .blend, a feature scene, or a real scene. Raises KeyError if none is meant."""
-    from benchmarks import features, real
+    """The source of a name: a path to a .blend, a feature scene, random_SEED, or a real scene. Raises KeyError if none
+    is meant.
+    """
+    from benchmarks import features, random_scenes, real
 
     if name in features.FEATURES:
         return features.source(name)
     if name in real.REAL:
         return real.source(name)
+    if random_scenes.expand(name) == [name]:
+        return random_scenes.source(name)
     path = Path(name)
     if path.suffix == ".blend":
         path = path.resolve()
         content = f"{path.name}:{file_hash(path)}"
         return Source(path.stem, lambda: open_blend(path), content, (320, 240), path=path)
-    known = ", ".join([*features.FEATURES, *real.REAL])
+    known = ", ".join([*features.FEATURES, *real.REAL, "random_SEED"])
     raise KeyError(f"'{name}' is neither a .blend file nor one of: {known}")
 
 
 def names(patterns: list[str]) -> list[str]:
-    """Expand "features", "real" and patterns like "light_*" into names of scenes; the rest is left as it is."""
+    """Expand "features", "real", "random_1-20" and patterns like "light_*" into names of scenes; the rest is left as it
+    is.
+    """
     from fnmatch import fnmatch
 
-    from benchmarks import features, real
+    from benchmarks import features, random_scenes, real
 
     found = []
     for pattern in patterns:
@@ -106,5 +112,5 @@ def names(patterns: list[str]) -> list[str]:
         elif any(c in pattern for c in "*?["):
             found += [n for n in [*features.FEATURES, *real.REAL] if fnmatch(n, pattern)]
         else:
-            found.append(pattern)
+            found += random_scenes.expand(pattern) or [pattern]
     return list(dict.fromkeys(found))

@@ -121,6 +121,7 @@ _RAY_FIELDS = {
     "transparent_depth": "transparent_depth",
     "window": "window",
 }
+RAY_NEEDS = frozenset({*_RAY_FIELDS, "ray_length", "camera_from_world"})  # told by the ray alone
 _OTHER_FIELDS = {"ray_length", "camera_from_world", "object_index", "object_color", "object_random"}
 # what only frames know, of "NAME" and "KIND:NAME", and which of their columns
 _FRAME_COLUMNS = {
@@ -142,9 +143,7 @@ _LAYERS = ("uv", "uv_footprint", "tangent", "attribute", "instance_attribute")
 
 def told_by_hits(needs: frozenset[str]) -> bool:
     """Whether `gather` knows all that `needs` names from hits: without frames, rays, or what is known of them."""
-    return names_of(needs).isdisjoint(
-        _FACING_NEEDS | _WIDE | set(_RAY_FIELDS) | {"ray_length", "camera_from_world"}
-    )
+    return names_of(needs).isdisjoint(_FACING_NEEDS | _WIDE | RAY_NEEDS)
 
 
 def points_at(

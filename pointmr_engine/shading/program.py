@@ -182,9 +182,9 @@ class Program:
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     masked: colours of its images count by their alpha, so that holes in them have none.
-    opaque: light never passes straight through; turns: how much of it does depends on where it is seen from (`faces`),
-    on the ray's way there (`unforeseen`), or on where the part is placed (`placed`), or more may be sent besides than
-    what does not pass (`adds`).
+    opaque: light never passes straight through; turns: how much of it does depends on where it is seen from (`faces`;
+    and not only on which side: `turns_with_view`), on the ray's way there (`unforeseen`), or on where the part is
+    placed (`placed`), or more may be sent besides than what does not pass (`adds`).
     emissive: it can emit; emission_placed: what does depends on where the part is placed; constant_emission: rgb,
     (0, 0, 0) if it never emits, None where emission varies.
     max_lobes: upper bound of BSDF lobes at a point. warnings: unsupported nodes, each named once.
@@ -241,7 +241,8 @@ class Program:
         read = names_of(self.transparency_needs | self.shown_needs)
         self.adds: bool = bool(self._shown)
         self.placed: bool = bool(read & (OF_PLACEMENT if "incoming" in read else OF_PLACEMENT | OF_ROTATION))
-        self.faces: bool = bool(read & {"backfacing", "incoming"})
+        self.turns_with_view: bool = "incoming" in read
+        self.faces: bool = self.turns_with_view or "backfacing" in read
         self.turns: bool = self.faces or self.unforeseen or self.placed or self.adds
         self.masked: bool = _masked(self._plan.steps)
         self.emissive: bool = bool(emission)

@@ -4,6 +4,9 @@ Triangles under one material look the same where what it reads is the same at th
 triangle, such as its leaf's colour, may change how much light it lets through, but seldom its shape: triangles that
 differ in nothing else share the samples of one of them, their leader, if some of their own points agree with it. What
 agrees with no leader is sampled alone.
+
+What goes by the view alone, as a mix by Fresnel does, is nearly even over small triangles: those that are share their
+samples with all others of the same opacity.
 """
 
 from __future__ import annotations
@@ -14,16 +17,23 @@ import numpy as np
 
 from pointmr_engine.forward.baked.opacity_lattice import in_triangle, lattice
 from pointmr_engine.hierarchy.geometry import Geometry
-from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.raytracing.surface import RAY_NEEDS, points_at
+from pointmr_engine.shading.points import names_of
 from pointmr_engine.shading.program import OF_INSTANCE
 
 LOOKS = 16  # points of a triangle that are compared with its leader's
 SIDE = 32  # samples along the edges of leaders while they are compared
 TOLERANCE = 0.12  # of opacity
 LEADERS = 16  # at most, of triangles that vary alike
+EVEN = 0.02  # difference of opacity over a triangle that is even
 _QUANTUM = 1.0 / 4096  # of texture coordinates
 # the same for all points, or not of their places
-_PLACELESS = ("footprint", "uv_footprint", "geometric_normal", "moved", *OF_INSTANCE)
+_PLACELESS = frozenset({"footprint", "uv_footprint", "geometric_normal", "moved"}) | OF_INSTANCE
+_LAYERED = frozenset({"uv", "attribute"})
+# what varies over a triangle as smooth normals do, or not at all
+_BY_VIEW = frozenset({"incoming", "backfacing", "normal", "smooth_normal"}) | RAY_NEEDS
+# where it is looked whether triangles are even: their middle, and near their corners
+_MIDDLE_AND_CORNERS = np.array(((1 / 3, 1 / 3), (0.02, 0.02), (0.96, 0.02), (0.02, 0.96)), np.float32)
 
 Opacity = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
@@ -37,15 +47,30 @@ def opacity_classes(
     one point of each.
     """
     alone = np.arange(len(triangles))
-    if any(need.partition(":")[0] not in ("uv", "attribute", *_PLACELESS) for need in needs):
+    names = names_of(needs)
+    if not names <= _LAYERED | _PLACELESS | _BY_VIEW:
         return alone, alone
     corners = _at_corners(geometry, part, needs, triangles)
     varies = (corners != corners[:, :1]).any((0, 1))
+    if not varies.any():
+        return _even(triangles, opacity)
+    if names & _BY_VIEW:
+        return alone, alone
     keys = np.round(corners[:, :, varies] / _QUANTUM).reshape(len(triangles), -1)
     _, first, classes = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    if varies.all() and "geometric_normal" not in needs:
-        return first, classes.ravel()
     return _led(triangles, classes.ravel(), opacity) if len(first) < len(triangles) else (alone, alone)
+
+
+def _even(triangles: np.ndarray, opacity: Opacity) -> tuple[np.ndarray, np.ndarray]:
+    """`opacity_classes` of triangles over which nothing varies but what is seen: by their opacity, where it is even."""
+    n = len(triangles)
+    found = [opacity(triangles, np.full(n, u), np.full(n, v)) for u, v in _MIDDLE_AND_CORNERS]
+    levels = np.round(255.0 * found[0]).astype(np.int64)
+    uneven = np.ptp(found, axis=0).max(1) > EVEN
+    key = levels @ 256 ** np.arange(levels.shape[1])
+    key[uneven] = -1 - np.flatnonzero(uneven)
+    _, first, classes = np.unique(key, return_index=True, return_inverse=True)
+    return first, classes.ravel()
 
 
 def _into_triangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -57,7 +82,7 @@ def _into_triangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _at_corners(geometry: Geometry, part: int, needs: frozenset, triangles: np.ndarray) -> np.ndarray:
     """(n, 3, C) float32: what is read at the triangles' corners."""
     n = len(triangles)
-    read = frozenset(need for need in needs if need.partition(":")[0] in ("uv", "attribute"))
+    read = frozenset(need for need in needs if need.partition(":")[0] in _LAYERED)
     at = np.tile(np.array(((0, 0), (1, 0), (0, 1)), np.float32), (n, 1))
     points = points_at(
         geometry, np.full(3 * n, part, np.int32),

@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.baked.opacity_classes import Opacity, opacity_classes
-from pointmr_engine.forward.baked.opacity_lattice import BATCH, batches, in_triangle, lattice
+from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
 from pointmr_engine.forward.drawing.cut_out_cover import (
     BESIDE,
     OPAQUE,
@@ -31,10 +31,15 @@ from pointmr_engine.forward.drawing.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import triangle_materials
 from pointmr_engine.numerics.jit import device
 
-SAMPLES = 8_000_000  # at most, over all triangles that differ
+SAMPLES = (
+    8_000_000  # cells at most, of which half lie in triangles, over all that differ and all looks at them
+)
 FINEST = 128  # samples along a triangle's edge at most
 NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose holes have a colour of their own
-FIRST = 24  # so many tell which triangles are the same all over: these share one row
+# so many samples along an edge tell which triangles are the same all over, which share one row; where very many
+# differ, no more than SAMPLES allow
+FIRST = 24
+FEWEST = 3
 
 
 class CutOuts(NamedTuple):
@@ -55,6 +60,7 @@ class Source(NamedTuple):
 
     opacity: Opacity
     triangles: np.ndarray  # (n,) int64
+    looks: int  # that a point takes
 
 
 def even_cut_outs(first: np.ndarray, mask: np.ndarray, opacity: np.ndarray) -> CutOuts:
@@ -81,41 +87,54 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
     that they block most, for methods whose rays pass what goes through the others (Image.coloured); and what
     they are samples of.
     """
-    geometry, programs = opacity_of.geometry, opacity_of.programs
+    geometry = opacity_of.geometry
     first = np.full(len(geometry.parts), -1, np.int64)
-    masks, sources = [], []
-    total = known = 0
+    masks, groups, total = [], [], 0
     for part, mesh in enumerate(geometry.parts):
-        n = len(mesh.triangles)
-        if not n:
-            continue
-        material = triangle_materials(geometry, part)
-        if all(programs[m].opaque for m in np.unique(material)):
-            continue
-        mask = np.full(n, -1, np.int32)
-        for m in np.unique(material):
-            if programs[m].opaque:
-                continue
-            rows = np.flatnonzero(material == m)
-            own = partial(opacity_of.opacity, m, part, adds=programs[m].adds)
-            needs = programs[m].transparency_needs | programs[m].shown_needs
-            which, inverse = opacity_classes(geometry, part, needs, rows, own)
-            which, shared = _without_even(rows, which, own)
-            mask[rows] = known + shared[inverse]
-            known += len(which)
-            sources.append(Source(own, rows[which]))
-        first[part] = total
-        masks.append(mask)
-        total += n
-    side = int(np.clip(math.sqrt(SAMPLES / max(known, 1)), 2, FINEST))
+        found = _groups(opacity_of, part) if len(mesh.triangles) else []
+        if found:
+            first[part] = total
+            masks.append(np.full(len(mesh.triangles), -1, np.int32))
+            groups += [(masks[-1], *group) for group in found]
+            total += len(mesh.triangles)
+    coarse = _side(sum(len(which) * source.looks for _, source, which, _ in groups), FEWEST, FIRST)
+    sources, known = [], 0
+    for mask, source, which, inverse in groups:
+        which, shared = _without_even(source, which, coarse)
+        mask[source.triangles] = known + shared[inverse]
+        known += len(which)
+        sources.append(source._replace(triangles=source.triangles[which]))
+    side = _side(sum(len(source.triangles) * source.looks for source in sources), 2, FINEST)
     opacity = np.empty((2, known, side, side), np.uint8)
     at = 0
-    for own, triangles in sources:
-        for chosen in batches(triangles, side):
-            opacity[:, at : at + len(chosen)] = sampled(own, chosen, at + np.arange(len(chosen)), side)
+    for source in sources:
+        for chosen in batches(source.triangles, side):
+            rows = at + np.arange(len(chosen))
+            opacity[:, rows] = sampled(source.opacity, chosen, rows, side)
             at += len(chosen)
     mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
     return even_cut_outs(first, mask, opacity[0]), even_cut_outs(first, mask, opacity[1]), sources
+
+
+def _groups(opacity_of: PartOpacity, part: int) -> list[tuple[Source, np.ndarray, np.ndarray]]:
+    """(triangles of a part under one material, and what opacity_classes says of them), of what lets light through."""
+    geometry, found = opacity_of.geometry, []
+    material = triangle_materials(geometry, part)
+    for m in np.unique(material):
+        program = opacity_of.programs[m]
+        if program.opaque:
+            continue
+        triangles = np.flatnonzero(material == m)
+        own = partial(opacity_of.opacity, m, part, adds=program.adds)
+        needs = program.transparency_needs | program.shown_needs
+        source = Source(own, triangles, opacity_of.looks(m, part))
+        found.append((source, *opacity_classes(geometry, part, needs, triangles, own)))
+    return found
+
+
+def _side(looks: int, fewest: int, most: int) -> int:
+    """Cells along the edges of triangles that take so many looks for each cell, for SAMPLES of them at most."""
+    return int(np.clip(math.sqrt(SAMPLES / max(looks, 1)), fewest, most))
 
 
 def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: int) -> np.ndarray:
@@ -128,8 +147,7 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
     u, v = lattice(side, rows)
     own = in_triangle(side)
     u, v, which = u[:, own].ravel(), v[:, own].ravel(), np.repeat(triangles, own.sum())
-    parts = [slice(k, k + BATCH) for k in range(0, len(which), BATCH)]
-    found = np.concatenate([opacity_of(which[a], u[a], v[a]) for a in parts])
+    found = opacity_of(which, u, v)
     result = np.zeros((found.shape[1], n, side, side), np.uint8)
     result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(len(result), n, -1)
     if len(result) > 2:
@@ -145,15 +163,13 @@ def _beside(chosen: np.ndarray) -> np.ndarray:
     return sliding_window_view(padded, (width, width), axis=(-2, -1)).any((-2, -1))
 
 
-def _without_even(
-    triangles: np.ndarray, which: np.ndarray, opacity_of: Opacity
-) -> tuple[np.ndarray, np.ndarray]:
-    """(those of `which`, places in `triangles`, that are sampled; the one of these for each) where those that are the
-    same all over share one."""
+def _without_even(source: Source, which: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """(those of `which`, places in the source's triangles, that are sampled; the one of these for each) where those
+    that are the same at side x side cells share one."""
     even = np.full(len(which), -1)  # 256 times the one opacity, plus the other
     at = 0
-    for chosen in batches(triangles[which], FIRST):
-        found = sampled(opacity_of, chosen, at + np.arange(len(chosen)), FIRST).reshape(2, len(chosen), -1)
+    for chosen in batches(source.triangles[which], side):
+        found = sampled(source.opacity, chosen, at + np.arange(len(chosen)), side).reshape(2, len(chosen), -1)
         same = (found == found[:, :, :1]).all((0, 2))
         value = 256 * found[0, :, 0].astype(np.int64) + found[1, :, 0]
         even[at : at + len(chosen)] = np.where(same, value, -1)

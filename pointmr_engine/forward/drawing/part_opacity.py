@@ -13,14 +13,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pointmr_engine.forward.baked.opacity_lattice import BATCH
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements, placements
 from pointmr_engine.raytracing.surface import place_points, points_at
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.program import Program
 
-# cosines under which what depends on the view is looked at, besides along the normal
-VIEWS = (-1.0, 0.5, -0.5, 0.1, -0.1)
+# cosines to the normal under which what depends on the view is looked at, the first for its mean
+VIEWS = (1.0, -1.0, 0.5, -0.5, 0.1, -0.1)
 MOST_PLACEMENTS = 8  # of a part, that are looked at
 # shares of subpixels that what is added to what passes covers: where rays go on, as much as it shines between these;
 # elsewhere the least, for it hides what it covers
@@ -44,12 +45,14 @@ class PartOpacity:
         part: of all points, or (n,) of each. adds: (n, 4): the same, and both with what the program adds.
         """
         program = self.programs[material]
-        if not program.placed or np.ndim(part) == 0:
-            return self._of_part(program, part, triangles, u, v, adds)
         result = np.empty((len(triangles), 4 if adds else 2))
-        for p in np.unique(part):
-            rows = np.flatnonzero(part == p)
-            result[rows] = self._of_part(program, int(p), triangles[rows], u[rows], v[rows], adds)
+        alone = not program.placed or np.ndim(part) == 0
+        for p in (part,) if alone else np.unique(part):
+            whole = np.arange(len(triangles)) if alone else np.flatnonzero(part == p)
+            for at in range(0, len(whole), BATCH):
+                rows = whole[at : at + BATCH]
+                own = p if np.ndim(p) == 0 else p[rows]
+                result[rows] = self._of_part(program, own, triangles[rows], u[rows], v[rows], adds)
         return result
 
     def _of_part(self, program: Program, part, triangles, u, v, adds: bool) -> np.ndarray:
@@ -59,17 +62,16 @@ class PartOpacity:
         known = not program.unforeseen and (
             not program.placed or len(self._placed(part).part) <= MOST_PLACEMENTS
         )
-        for view in (1.0, *(VIEWS if program.faces else ())):
-            for points in self._seen(program, part, triangles, u, v, needs, view):
-                clear = np.clip(program.transparency(points), 0.0, 1.0)
-                r, g, b = clear.T  # of three, numpy takes ten times as long along an axis
-                least = np.minimum(least, np.minimum(np.minimum(r, g), b))
-                if view == 1.0:
-                    mean += (r + g + b) / 3.0
-                    looks += 1
-                if adds:
-                    shown = program.shown(points)
-                    added = np.maximum(added, np.where((clear + shown).max(1) > 1.001, shown.max(1), 0.0))
+        for view, points in self._seen(program, part, triangles, u, v, needs):
+            clear = np.clip(program.transparency(points), 0.0, 1.0)
+            r, g, b = clear.T  # of three, numpy takes ten times as long along an axis
+            least = np.minimum(least, np.minimum(np.minimum(r, g), b))
+            if view == VIEWS[0]:
+                mean += (r + g + b) / 3.0
+                looks += 1
+            if adds:
+                shown = program.shown(points)
+                added = np.maximum(added, np.where((clear + shown).max(1) > 1.001, shown.max(1), 0.0))
         if not known:
             least[:] = 0.0
         found = 1.0 - np.stack((mean / looks, least), 1)
@@ -78,12 +80,19 @@ class PartOpacity:
         shares = np.stack((np.full(n, LEAST_ADDED), np.clip(added, LEAST_ADDED, MOST_ADDED)), 1)
         return np.concatenate([found, np.maximum(found, shares * (added > 0.0)[:, None])], 1)
 
+    def looks(self, material: int, part: int) -> int:
+        """How often `opacity` looks at each point: from several sides, where the part is placed."""
+        program = self.programs[material]
+        placed = min(len(self._placed(part).part), MOST_PLACEMENTS) if program.placed else 1
+        return len(_views(program)) * max(placed, 1)
+
     def transparency(
         self, material: int, part: int, triangles: np.ndarray, u: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
         """(n, 3) share of light that passes triangles (n,) of a part, seen along their normals, in its own space."""
         program = self.programs[material]
-        return program.transparency(self._points(part, triangles, u, v, program.transparency_needs, 1.0))
+        what = self._samples(part, triangles, u, v, np.eye(4)[:3])
+        return program.transparency(points_at(*what, program.transparency_needs))
 
     def _placed(self, part: int) -> Placements:
         """Of the part's placements the first MOST_PLACEMENTS, and one more."""
@@ -93,31 +102,45 @@ class PartOpacity:
             self._placements[part] = placements(self.geometry, wanted, MOST_PLACEMENTS + 1)
         return self._placements[part]
 
-    def _seen(self, program, part, triangles, u, v, needs, view: float) -> Iterator[SurfacePoints]:
-        """The points as they look where the part is placed; in its own space where that does not matter."""
+    def _seen(self, program, part, triangles, u, v, needs) -> Iterator[tuple[float, SurfacePoints]]:
+        """(a view, the points as they look from there) for all views, wherever the part is placed; in its own space
+        where that does not matter.
+        """
         placed = self._placed(part) if program.placed else None
-        if placed is None or not len(placed.part):
-            yield self._points(part, triangles, u, v, needs, view)
-            return
-        for k in range(min(len(placed.part), MOST_PLACEMENTS)):
-            points = self._points(part, triangles, u, v, needs, view, placed.world_from_part[k])
-            place_points(self.geometry, points, placed, np.full(len(triangles), k), needs)
-            yield points
+        there = (
+            placed.world_from_part[:MOST_PLACEMENTS] if placed is not None and len(placed.part) else [None]
+        )
+        for k, world in enumerate(there):
+            what = self._samples(part, triangles, u, v, np.eye(4)[:3] if world is None else world)
+            for view, viewer in _viewers(what, _views(program)):
+                points = points_at(*what, needs, viewer)
+                if world is not None:
+                    place_points(self.geometry, points, placed, np.full(len(triangles), k), needs)
+                yield view, points
 
-    def _points(self, part, triangles, u, v, needs, view: float, world_from_part=None) -> SurfacePoints:
-        """view: cosine of the angle to the triangles' normals under which they are seen, negative: from behind."""
+    def _samples(self, part, triangles, u, v, world_from_part) -> tuple:
+        """What `points_at` takes of points of a part's triangles, besides needs and viewer."""
         geometry, n = self.geometry, len(triangles)
         whole = (geometry.tables.first_triangle[part] + triangles).astype(np.int32)
-        world = np.eye(4)[:3] if world_from_part is None else world_from_part
-        what = (
-            geometry, np.broadcast_to(np.int32(part), n), whole, u.astype(np.float32), v.astype(np.float32),
-            np.broadcast_to(world, (n, 3, 4)),
-        )  # fmt: skip
-        if view == 1.0:
-            return points_at(*what, needs)
-        at = points_at(*what, frozenset({"position", "geometric_normal"}))
-        normal = at.geometric_normal.astype(np.float64)
-        beside = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
-        beside /= np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-30)
-        away = view * normal + math.sqrt(1.0 - view * view) * beside
-        return points_at(*what, needs, at.position + away)
+        part = np.full(n, part, np.int32)
+        return geometry, part, whole, u, v, np.broadcast_to(world_from_part, (n, 3, 4))
+
+
+def _views(program: Program) -> tuple[float, ...]:
+    """Those of VIEWS that may show different transparency."""
+    if not program.faces:
+        return VIEWS[:1]
+    return VIEWS if program.turns_with_view else VIEWS[:2]
+
+
+def _viewers(what: tuple, views: tuple[float, ...]) -> Iterator[tuple[float, np.ndarray | None]]:
+    """(view, where points are seen from under it (n, 3), None: along their normals)."""
+    yield views[0], None
+    if len(views) == 1:
+        return
+    at = points_at(*what, frozenset({"position", "geometric_normal"}))
+    normal = at.geometric_normal.astype(np.float64)
+    beside = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
+    beside /= np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-30)
+    for view in views[1:]:
+        yield view, at.position + view * normal + math.sqrt(1.0 - view * view) * beside

@@ -29,7 +29,7 @@ from pointmr_engine.numerics.jit import device, uncounted
 CELL = 2.0  # subpixels that a cell is wide, at most, where there is room
 SMALL = 16  # pixels: triangles whose edges are no longer stay as they are, for there may be very many
 LARGEST = 2048  # cells along an edge at most
-ROOM = 16_000_000  # cells, over all triangles that are sampled anew
+ROOM = 16_000_000  # cells, over all triangles that are sampled anew and all looks at them
 
 
 class NearCutOuts:
@@ -64,7 +64,8 @@ class NearCutOuts:
         large = largest_in_view(view, hierarchy, camera_from_world, size, len(coarse), least)
         rows = np.flatnonzero(large > least)
         rows = rows[(coarse[rows] != coarse[rows, :1, :1]).any((1, 2))]
-        sides = lattice_sides(large[rows], coarse.shape[1])
+        looks = np.repeat([source.looks for source in self._sources], np.diff(self._first))
+        sides = lattice_sides(large[rows], coarse.shape[1], looks[rows])
         wanted = [(int(row), int(side)) for row, side in zip(rows, sides, strict=True)]
         self.kept = {key: self.kept[key] for key in wanted if key in self.kept}
         if not wanted:
@@ -88,11 +89,14 @@ class NearCutOuts:
                 self.kept |= {(int(row), side): found[:, k] for k, row in enumerate(own)}
 
 
-def lattice_sides(edges: np.ndarray, coarse: int) -> np.ndarray:
-    """(n,) int64 cells along edges of so many subpixels (n,): powers of two, so that views near by share them."""
+def lattice_sides(edges: np.ndarray, coarse: int, looks: np.ndarray | int = 1) -> np.ndarray:
+    """(n,) int64 cells along edges of so many subpixels (n,): powers of two, so that views near by share them.
+
+    looks: (n,) that a cell takes.
+    """
     most = np.clip(edges / CELL, coarse, LARGEST)
     sides = np.minimum(2 ** np.ceil(np.log2(most)).astype(np.int64), LARGEST)
-    while (sides**2).sum() > ROOM and (sides > coarse).any():
+    while (looks * sides**2).sum() > ROOM and (sides > coarse).any():
         sides[sides == sides.max()] //= 2
     return np.maximum(sides, coarse)
 
