@@ -248,7 +248,7 @@ class Program:
         self.emissive: bool = bool(emission)
         self.constant_emission: tuple[float, float, float] | None = None
         if all(isinstance(s, Constant) for s in emission):
-            self.constant_emission = tuple(float(v) for v in _sum(emission, {}, 1)[0])
+            self.constant_emission = tuple(float(v) for v in self.emission(SurfacePoints(1))[0])
         self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves)
 
     def evaluate(self, points: SurfacePoints, means: Sequence[tuple[np.ndarray, dict]] = ()) -> list[Leaf]:
@@ -297,22 +297,24 @@ class Program:
         """(N, 3) float32 share of light that passes straight through at the points themselves, for shadow rays: what
         materials make of a mean of their images is not the mean of what they let through.
         """
-        with np.errstate(all="ignore"):
-            return _sum(self._transparency, self._transparency_plan.run(points), points.count)
+        return _sum(self._transparency, self._transparency_plan, points)
 
     def shown(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32: what is emitted, and the weights of all lobes, of a program that `adds`."""
-        with np.errstate(all="ignore"):
-            return _sum(self._shown, self._shown_plan.run(points), points.count)
+        return _sum(self._shown, self._shown_plan, points)
 
     def emission(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32 emitted radiance (background radiance for a world), without a coat's or sheen's shading."""
-        with np.errstate(all="ignore"):
-            return _sum(self._emission, self._emission_plan.run(points), points.count)
+        return _sum(self._emission, self._emission_plan, points)
 
 
-def _sum(terms: list[Source], memo: dict[tuple[int, str], np.ndarray], count: int) -> np.ndarray:
-    total = np.zeros((count, 3), np.float32)
+def _sum(terms: list[Source], plan: Plan, points: SurfacePoints) -> np.ndarray:
+    """(N, 3) float32 sum of what `plan` makes of `terms` at the points, of which there may be none."""
+    total = np.zeros((points.count, 3), np.float32)
+    if not points.count:
+        return total
+    with np.errstate(all="ignore"):
+        memo = plan.run(points)
     for term in terms:
         value = read(term, memo)
         total += value if value.ndim == 2 else value[:, None]

@@ -18,18 +18,20 @@ from pointmr_engine.shading.program import compile_graph  # noqa: E402
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
-    """name -> (Cycles' pixels, ours), each (n, n, 3); and what was reported."""
+    """name -> (Cycles' pixels, ours), each (n, n, 3); what was reported; and name -> what the node makes of no points."""
     objects = node_planes.build({name: make for name, (make, _) in CASES.items()})
     picture = node_planes.render(tmp_path_factory.mktemp("nodes") / "cycles.exr")
     reports = []
     sync = MaterialSync(lambda level, message: reports.append((level, message)))
     bpy.context.evaluated_depsgraph_get().update()
-    found = {}
+    found, empty = {}, {}
     for i, (name, obj) in enumerate(objects.items()):
         program = compile_graph(sync.get(obj.data.materials[0]).surface_graph)
-        ours = program.emission(node_planes.points_of(obj)).reshape(node_planes.WINDOW, node_planes.WINDOW, 3)
+        points = node_planes.points_of(obj)
+        ours = program.emission(points).reshape(node_planes.WINDOW, node_planes.WINDOW, 3)
+        empty[name] = program.emission(points.repeated(0))
         found[name] = (node_planes.window(picture, i, len(objects)), ours)
-    return found, reports
+    return found, reports, empty
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -39,6 +41,10 @@ def test_node_matches_cycles(pictures, name):
     # patterns have edges: a pixel on one may fall to either side of it
     share = (difference > CASES[name][1]).mean()
     assert share < 0.02, f"{share:.0%} of the pixels differ, by up to {difference.max():.2g}"
+
+
+def test_no_points_have_no_values(pictures):
+    assert {values.shape for values in pictures[2].values()} == {(0, 3)}
 
 
 def test_nothing_is_reported(pictures):

@@ -98,6 +98,17 @@ def test_what_instances_or_rays_decide_is_asked_for(node):
     assert parts(card(more=node))[-1][-1] == 0
 
 
+def test_where_no_cell_may_be_known_none_is_looked_at_again():
+    mesh = card(more=("white_noise_texture", "color"))
+    nodes = mesh.materials[0].graph.nodes
+    nodes["where"], alpha = Node("uv_map"), nodes["alpha"]
+    nodes["more"].inputs["vector"] = Link("where", "uv")
+    # clear at a twentieth of all points, half transparent at others
+    alpha.inputs["value"], alpha.inputs["value_b"] = alpha.inputs["value_b"], 0.05
+    alpha.params["operation"] = "SUBTRACT"
+    assert parts(mesh)[-1][-1] == 0
+
+
 def test_opaque_scenes_have_no_map():
     assert parts(quad(1.0, 0.0, principled("plain")))[-1][-1] == 0
 
