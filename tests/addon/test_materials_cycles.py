@@ -18,7 +18,7 @@ from pointmr_engine.shading.program import compile_graph  # noqa: E402
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
-    """name -> (Cycles' pixels, ours), each (n, n, 3); what was reported; and name -> what the node makes of no points."""
+    """name -> (Cycles' pixels, ours), each (n, n, 3); what was reported; name -> values of no points."""
     objects = node_planes.build({name: make for name, (make, _) in CASES.items()})
     picture = node_planes.render(tmp_path_factory.mktemp("nodes") / "cycles.exr")
     reports = []
