@@ -204,8 +204,13 @@ class Shader:
                 program.normal_reads,
                 self.seed,
             )
-            means.append((seen, normals))
             variance = slope_variance(list(normals.values()))
+            means.append((seen, normals))
+            import os
+            lim = float(os.environ.get("STEEP", "1e9"))
+            flat = variance <= lim
+            means[-1] = (seen[flat], {k: v[flat] for k, v in normals.items()})
+            variance = np.where(flat, variance, 0).astype(np.float32)
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
             oblique = np.flatnonzero(cosine < OBLIQUE)
