@@ -1,7 +1,8 @@
 """True displacement: vertices moved by their materials, before hierarchies are built over them.
 
-What Cycles does without adaptive subdivision: each vertex moves once, by the material of its first triangle, as far as
-the graph says there. So detail is what the mesh has vertices for; a Subdivision Surface modifier gives it more.
+What Cycles does without adaptive subdivision, and of meshes alone: each vertex moves once, by the material of its first
+triangle, as far as the graph says there. So detail is what the mesh has vertices for; a Subdivision Surface modifier
+gives it more.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
         return geometry, warnings
     parts, made = list(geometry.parts), {}
     for p, mesh in enumerate(parts):
-        if any(id(m) in programs for m in mesh.materials):
+        if mesh.displaceable and any(id(m) in programs for m in mesh.materials):
             # parts that share arrays and materials go on sharing
             key = (
                 *(id(a) for a in (mesh.positions, mesh.triangles, mesh.normals, mesh.material_index)),

@@ -136,7 +136,8 @@ def point_cloud(data, name: str, materials: tuple) -> Group | None:
     if n == 0:
         return None
     positions, triangles = sphere()
-    ball = Group(f"{name} point", [Mesh(name, positions, triangles, positions, materials=materials)])
+    mesh = Mesh(name, positions, triangles, positions, materials=materials, displaceable=False)
+    ball = Group(f"{name} point", [mesh])
     transforms = np.zeros((n, 3, 4))
     radius = np.maximum(read_points(data, "radius", 1, n, 0.01)[:, 0], 1e-9)
     for axis in range(3):

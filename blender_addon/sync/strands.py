@@ -50,7 +50,7 @@ def tubes(name: str, strands: Strands, wanted: Requests) -> Mesh | None:
     # a flat-sided tube is as wide on the mean as a round one
     positions, normals = _rings(points[:, :3], points[:, 3] * _wider(sides), strand, counts, sides)
     rings = np.flatnonzero(np.diff(strand, append=-1) == 0)  # all but the last of each strand
-    mesh = Mesh(name, positions, _walls(rings, sides), normals)
+    mesh = Mesh(name, positions, _walls(rings, sides), normals, displaceable=False)
     mesh.generated = np.array([np.zeros(3), np.ones(3)])  # as in Cycles: the object's own coordinates
     _add_attributes(mesh, own, wanted, key, u, strand, radius, sides)
     if own.uv is not None:

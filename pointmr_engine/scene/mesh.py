@@ -36,6 +36,7 @@ class Mesh:
     None takes the bounding box; the attribute GENERATED overrides it.
     terminator_offset: 0 to 1, the cosine between light and surface below which shadow rays from smooth triangles start
     above them, on the rounder surface that the normals suggest; 0: never.
+    displaceable: whether materials may move its vertices; of strands and points they do not.
     Meshes that share the same arrays share one acceleration structure.
     """
 
@@ -50,6 +51,7 @@ class Mesh:
     active_uv: str | None = None
     generated: np.ndarray | None = None
     terminator_offset: float = 0.0
+    displaceable: bool = True
 
     def validate(self) -> list[str]:
         """Raise SceneError for what cannot be read; return warnings for what is tolerated (and will be skipped)."""

@@ -141,12 +141,19 @@ def test_materials_read_of_strands_what_they_do_in_cycles(tmp_path, name):
             np.testing.assert_allclose(seen, expected, atol=0.06)
 
 
-@pytest.mark.parametrize("alpha", [1.0, 0.5])
-def test_strands_look_as_in_cycles(tmp_path, alpha):
-    """Half transparent ones hide half of what lies behind them, not three quarters."""
+@pytest.mark.parametrize(("alpha", "height"), [(1.0, 0.0), (0.5, 0.0), (1.0, 0.5)])
+def test_strands_look_as_in_cycles(tmp_path, alpha, height):
+    """Half transparent ones hide half of what lies behind them, not three quarters; displacement moves none."""
     stage.empty_scene()
     stage.world((0.4, 0.5, 0.6), 1.0)
-    hair(stage.principled("hair", Base_Color=(0.6, 0.3, 0.1, 1), Roughness=0.9, Alpha=alpha))
+    material = stage.principled("hair", Base_Color=(0.6, 0.3, 0.1, 1), Roughness=0.9, Alpha=alpha)
+    if height:
+        tree = material.node_tree
+        moved = stage.node(tree, "ShaderNodeDisplacement", {"Height": height, "Midlevel": 0.0})
+        end = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeOutputMaterial")
+        tree.links.new(moved.outputs[0], end.inputs["Displacement"])
+        material.displacement_method = "DISPLACEMENT"
+    hair(material)
     stage.lamp("SUN", 2.0, (-2, -4, 4), (0, 0, 1), angle=0.0)
     view()
     theirs, found = images(tmp_path, 64)

@@ -138,6 +138,13 @@ def test_what_has_no_finite_displacement_stays_and_is_named():
         assert all("grid" in w for w in warnings)
 
 
+def test_what_is_not_displaceable_stays_beside_what_moves():
+    stays, moves = grid(4, hilly("DISPLACEMENT")), grid(4, hilly("DISPLACEMENT"))
+    stays.displaceable = False
+    geometry, _ = displaced(compile_geometry(Scene(Group("root", [stays, moves]))))
+    assert geometry.parts[0] is stays and geometry.parts[1].positions[:, 2].any()
+
+
 def test_parts_share_what_they_shared():
     mesh = grid(4, hilly("DISPLACEMENT"))
     groups = (Group("a", [mesh]), Group("b", [replace(mesh, name="twin")]))
