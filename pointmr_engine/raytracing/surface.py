@@ -131,13 +131,15 @@ _FRAME_COLUMNS = {
     "geometric_normal": ("geometric_normal", "backfacing"),
     "backfacing": ("backfacing",),
     "uv_footprint": ("geometric_normal",),
+    "moved": ("backfacing",),
 }
 _FRAME_NEEDS = frozenset(_FRAME_COLUMNS)
-_FACING_NEEDS = _FRAME_NEEDS | {"incoming", "moved"}  # and what is seen from along the normal
+_FACING_NEEDS = _FRAME_NEEDS | {"incoming"}  # and what is seen from along the normal
 # what reads the direction of rays, the width of their footprints, and where parts are placed
 _DIRECTED = {"incoming", "moved", "uv_footprint"}
 _WIDE = {"footprint", "moved", "uv_footprint"}
 _PLACED = {"world_from_part", "object_location", "tangent", "uv_footprint", "moved"}
+_STORED = {"uv", "attribute", "generated", "barycentric"}  # at triangles' corners; not made of positions
 _LAYERS = ("uv", "uv_footprint", "tangent", "attribute", "instance_attribute")
 
 
@@ -288,7 +290,7 @@ def _fill_surface(
         elif need == "object_location":
             points.object_location = samples.world_from_part[:, :, 3].astype(np.float32)
         elif need == "moved":
-            points.moved = _mover(geometry, points, samples, needs, direction, width)
+            points.moved = _mover(geometry, points, samples, needs, direction, width, own.backfacing)
         elif kind == "uv":
             points.uvs[name] = _layer_values(geometry, "uv", name, samples, 2)
         elif kind == "attribute":
@@ -333,39 +335,56 @@ def _uv_footprint(geometry, name, samples, own, direction, width) -> np.ndarray:
     return (width * np.sqrt(density / cosine)).astype(np.float32)
 
 
-def _mover(geometry, points, samples, every, direction, width):
+def _mover(geometry, points, samples, every, direction, width, backfacing):
     """SurfacePoints.moved: the same triangles' planes at other barycentric weights."""
-    edges = []
+    edges, n = [], len(samples.part)
 
-    def moved(offset: np.ndarray, needs: frozenset[str] | None = None, narrower=None) -> SurfacePoints:
-        n, needs = len(samples.part), every if needs is None else needs
-        times, rest = len(offset) // max(n, 1), needs - {"moved"}
-        result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
-        if times > 1:
-            result = result.repeated(times, needs)
-        result.moved = lambda more, needs=None, narrower=narrower: moved(offset + more, needs, narrower)
-        if "position" in rest and result.position is not None:
-            result.position, rest = result.position + offset, rest - {"position"}
-        if not rest:
-            return result
+    def fill(result: SurfacePoints, offset: np.ndarray, needs: frozenset[str]) -> None:
         if not edges:
             edges.append(np.empty((n, 2, 3)))
             world_edges(geometry.tables, samples, edges[0])
         there, of, towards, wide = samples, edges[0], direction, width
-        if times > 1:
-            again = np.tile(np.arange(n), times)
+        if len(offset) > n:
+            again = np.tile(np.arange(n), len(offset) // n)
             there, of, towards = Samples(*(c[again] for c in samples)), of[again], direction[again]
             wide = None if width is None else width[again]
         u, v = np.empty(len(offset)), np.empty(len(offset))
         move_weights(of, np.ascontiguousarray(offset, np.float64), there.u, there.v, u, v)
         there, frames_there = there._replace(u=u, v=v), None
-        if names_of(rest) & _FRAME_NEEDS:
+        if names_of(needs) & _FRAME_NEEDS:
             frames_there = allocate_frames(len(offset))
             frames_of(geometry.tables, there, towards, frames_there)
-        _fill_surface(geometry, result, there, frames_there, rest, towards, wide)
+        _fill_surface(geometry, result, there, frames_there, needs, towards, wide)
+
+    def place(offset, of_stored, needs, narrower) -> SurfacePoints:
+        needs = every if needs is None else needs
+        rest = needs - {"moved"}
+        result = replace(points, uvs={}, tangents={}, attributes={}, uv_footprints={})
+        if len(offset) > n:
+            result = result.repeated(len(offset) // n, needs)
+        result.moved = mover(offset, of_stored, narrower)
+        if "position" in rest and result.position is not None:
+            result.position, rest = result.position + offset, rest - {"position"}
+        apart = of_stored is not offset
+        stored = frozenset(need for need in rest if apart and need.partition(":")[0] in _STORED)
+        for where, what in ((of_stored, stored), (offset, rest - stored)):
+            if what:
+                fill(result, where, what)
         return result if narrower is None else result.narrowed(narrower)
 
-    return moved
+    def mover(start, start_of_stored, narrowed=None):
+        def moved(offset, needs=None, narrower=narrowed, bump=False) -> SurfacePoints:
+            there = start + offset
+            turned = bump and backfacing.any()
+            if start_of_stored is start and not turned:
+                return place(there, there, needs, narrower)
+            back = np.tile(backfacing, len(offset) // max(n, 1))[:, None]
+            return place(there, start_of_stored + np.where(back & turned, -offset, offset), needs, narrower)
+
+        return moved
+
+    here = np.zeros(3)
+    return mover(here, here)
 
 
 def _instance_attribute(geometry: Geometry, record: np.ndarray, name: str) -> np.ndarray:

@@ -35,6 +35,7 @@ def moved_points(
     offset: np.ndarray,
     needs: frozenset[str] | None = None,
     narrower: np.ndarray | None = None,
+    bump: bool = False,
 ) -> SurfacePoints:
     """The points moved by world offsets (N, 3) in their surfaces' planes; exact where `points.moved` is given.
 
@@ -42,10 +43,11 @@ def moved_points(
 
     needs: the only fields that are read there. Without `points.moved` positions move, UVs follow the layer's tangent
     and footprint where both are known, the rest stays. narrower (N,): over what part of the footprints images are
-    filtered there, and at points that these are moved to.
+    filtered there, and at points that these are moved to. bump: what is stored with the mesh, as UVs are, is that of
+    the opposite offset where points are backfacing: so Cycles differences heights, whose bumps are dents from behind.
     """
     if points.moved is not None:
-        return points.moved(offset, needs, narrower)
+        return points.moved(offset, needs, narrower, bump)
     if len(offset) > points.count:
         points = points.repeated(len(offset) // points.count)
     changes: dict = {}

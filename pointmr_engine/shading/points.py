@@ -42,7 +42,8 @@ class SurfacePoints:
     object_random: np.ndarray | None = None  # (N,) float32
     # moved(offset (N, 3) float32, world, needs): the points there, in the plane of each one's triangle, with the fields
     # that `needs` names (None: the same) filled; bump mapping differences its height through it (needs: "moved").
-    # (K N, 3): all points once by the first N, again by the next, and so on. A third argument: `narrowed` by it
+    # (K N, 3): all points once by the first N, again by the next, and so on. A third argument: `narrowed` by it; a
+    # fourth: as bumps are differenced (differentials.moved_points)
     moved: Callable[..., SurfacePoints] | None = None
     axes: tuple[np.ndarray, np.ndarray] | None = None  # kept by differentials.axes_at
     # the ray that came here

@@ -80,7 +80,7 @@ class Plan:
                 return read(source, {})
             if (axis, width) not in displaced:
                 offset = axes_at(points)[axis] * (points.footprint * width)[:, None]
-                displaced[axis, width] = moved_points(points, offset, self._needs_moved)
+                displaced[axis, width] = moved_points(points, offset, self._needs_moved, bump=True)
             return read(source, self.sub[index, name].run(displaced[axis, width]))
 
         return moved

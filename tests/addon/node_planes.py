@@ -245,5 +245,6 @@ def _points(obj, m: np.ndarray, n: np.ndarray, position: np.ndarray) -> SurfaceP
         window=screen.astype(np.float32),
     )
     return replace(
-        points, moved=lambda offset, needs=None, narrower=None: _points(obj, m, n, position + offset)
+        points,
+        moved=lambda offset, needs=None, narrower=None, bump=False: _points(obj, m, n, position + offset),
     )

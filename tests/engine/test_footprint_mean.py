@@ -374,7 +374,7 @@ def test_places_beyond_a_triangle_have_the_normal_of_its_middle():
     points.normal = points.smooth_normal = points.geometric_normal
     points.tangents = {"": np.tile(np.array([[1, 0, 0, 1]], np.float32), (50, 1))}
 
-    def moved(offset, needs, narrower):
+    def moved(offset, needs, narrower, bump):
         there = points.repeated(len(offset) // 50)
         astray = np.random.default_rng(7).normal(size=(len(offset), 3)).astype(np.float32)
         there.normal = there.smooth_normal = astray
