@@ -99,6 +99,9 @@ class Means(NamedTuple):
 
 
 NO_MEANS = Means([], None, None, None)
+# variance of slopes in a footprint, above which one normal stands for it: no lobe about the mean is like theirs, which
+# lie in every direction, and hide and miss light as they do
+STEEPEST = 0.2
 
 
 class Shader:
@@ -185,7 +188,7 @@ class Shader:
         def points(needs: frozenset[str]):
             return lambda index: self._gather(rays, hits, frames, index, needs, state)
 
-        means, slopes, variance = [], None, None
+        means, slopes, variance, widened = [], None, None, rows[:0]
         if program.fine_needs:
             found, slopes = footprint_means(
                 program.fine_values,
@@ -205,12 +208,9 @@ class Shader:
                 self.seed,
             )
             variance = slope_variance(list(normals.values()))
-            means.append((seen, normals))
-            import os
-            lim = float(os.environ.get("STEEP", "1e9"))
-            flat = variance <= lim
-            means[-1] = (seen[flat], {k: v[flat] for k, v in normals.items()})
-            variance = np.where(flat, variance, 0).astype(np.float32)
+            flat = np.flatnonzero(variance <= STEEPEST)
+            variance, widened = variance[flat], rows[seen[flat]]
+            means.append((seen[flat], {name: values[flat] for name, values in normals.items()}))
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
             oblique = np.flatnonzero(cosine < OBLIQUE)
@@ -220,7 +220,7 @@ class Shader:
                     cosine[oblique],
                 )  # fmt: skip
                 means.append((seen[oblique], found))
-        return Means(means, slopes and slopes._replace(rows=seen[slopes.rows]), rows[seen], variance)
+        return Means(means, slopes and slopes._replace(rows=seen[slopes.rows]), widened, variance)
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

@@ -368,6 +368,18 @@ def test_far_waves_blur_what_they_mirror():
     assert np.sqrt(((ours - exact) ** 2).mean()) < 0.06  # 0.082 with one wave's normal a fragment
 
 
+@pytest.mark.parametrize("roughness", [0.05, 0.2])
+def test_jagged_ground_is_as_bright_as_its_facets(roughness):
+    """Of steep bumps no lobe about the mean normal is like theirs, a part of which ends below the ground."""
+    graph = bumpy(Node("glossy", {"roughness": roughness}), scale=25.0, distance=1.0)
+    ground = quad(100.0, material=Material("jagged", graph))
+    scene = Scene(Group("root", [ground]), from_above(20.0), [], half_a_sky())
+    ours = render(scene, RenderSettings(24, 18, method="raytrace")).passes["combined"][..., 0]
+    chosen = RenderSettings(24, 18, method="distributed", samples=256)
+    exact = render(scene, chosen).passes["combined"][..., 0]
+    assert ours.mean() == pytest.approx(exact.mean(), rel=0.06)
+
+
 def test_places_beyond_a_triangle_have_the_normal_of_its_middle():
     """Normals of a smooth triangle go on anywhere outside it: a car's coarse shell was taken for a rough one."""
     points, seen = plane_points(np.random.default_rng(6).random((50, 2)), 0.1), []

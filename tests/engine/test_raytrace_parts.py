@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pointmr_engine.forward.reconstruction.fragments import Fragments, allocate_fragments
 from pointmr_engine.multires.cones.cones import allocate_cones, sub_rays
@@ -191,6 +193,19 @@ def test_a_lobe_that_is_one_cone_sums_to_one():
     lobes.alpha[:] = 0.0
     weigh_sub_rays(lobes, np.int64(2))
     assert (lobes.weights == 1 / 64).all()
+
+
+@given(st.floats(0.02, 0.3), st.floats(0.0, 1.3), st.floats(-1.5, 1.5))
+def test_of_lobes_that_bumps_tilt_what_goes_below_the_surface_is_lost(alpha, angle, tilt):
+    whole, cut = lobe(alpha, angle), lobe(alpha, angle)
+    weigh_sub_rays(whole, np.int64(2))
+    cut.side[:] = (math.sin(tilt), 0.0, math.cos(tilt))
+    weigh_sub_rays(cut, np.int64(2))
+    _, direction, _ = sub_rays(cut.cones)
+    leaves = direction @ cut.side[0]
+    clear = abs(leaves) > 1e-6
+    expected = np.where(leaves > 0, whole.weights, 0.0)
+    np.testing.assert_allclose(cut.weights[clear], expected[clear], rtol=1e-6)
 
 
 def test_the_rest_leaves_the_core_out():

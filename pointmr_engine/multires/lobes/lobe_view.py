@@ -40,15 +40,18 @@ class LobeCones(NamedTuple):
     incoming: np.ndarray
     # (N,) int8: 0 the whole lobe; 1 its core, whose next row is 2: what the same lobe sends beside its core
     part: np.ndarray
-    weights: np.ndarray  # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together
+    # (N, 64) float32 of the sub-rays; they sum to 1, over core and rest together, less what is lost below the surface
+    weights: np.ndarray
     ray: np.ndarray  # (N,) bool: a ray will do, however strong the lobe
     rough: np.ndarray  # (N,) float32: of rays within lobes, the lobes' roughness
     blur: np.ndarray  # (N,) float32: of chaotic glass, half the angle over which it blurs lamps; else 0
     behind: np.ndarray  # (N, 3) float32: of rays, factors of what surfaces reflect (lobe_rays.behind_glossy)
     beckmann: np.ndarray  # (N,) bool: whose slopes are as a Gaussian has them, and not as GGX
-    even: (
+    # (N,) bool: of curved mirrors and clear glass: the footprint itself, all of which weighs alike
+    even: np.ndarray
+    side: (
         np.ndarray
-    )  # (N,) bool: of curved mirrors and clear glass: the footprint itself, all of which weighs alike
+    )  # (N, 3) float32: geometric normal where light goes on; lobes that bumps tilt end at its plane
 
 
 def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
@@ -67,6 +70,7 @@ def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
         np.ones((n, 3), f),
         np.zeros(n, np.bool_),
         np.zeros(n, np.bool_),
+        np.zeros((n, 3), f),
     )
 
 
@@ -207,6 +211,15 @@ def choose_places(paths: Paths, samples, tables, bounce, count, out):
         out[m] = (chance + turn * R1) % 1.0
 
 
+@device
+def _whole(lobes: LobeCones, k):
+    """What the sub-rays of cone k weigh together: less than 1 where the lobe has two cones, or bumps lose a part."""
+    total = 0.0
+    for b in range(64):
+        total += np.float64(lobes.weights[k, b])
+    return total
+
+
 @uncounted
 def thin_out(paths: Paths, lobes: LobeCones, chances, strong, count):
     """Cones 0..count of throughput below `strong`, or not worth it, become a ray each: a sub-ray, by weight."""
@@ -222,6 +235,9 @@ def thin_out(paths: Paths, lobes: LobeCones, chances, strong, count):
             lobes.alpha[m] = THROUGH_MIRROR
             paths.bsdf_pdf[m] = math.inf
             continue
+        whole = np.float32(_whole(lobes, np.int64(m)))
+        for a in range(3):
+            t[a] *= whole
         b = choose_bit(np.int64(-1), lobes.weights, np.int64(m), chances[m])
         u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
         v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
@@ -254,7 +270,15 @@ def weigh_sub_rays(lobes: LobeCones, count):
         scale = np.float32(1.0 / total)
         for k in range(first, m + 1):
             for b in range(64):
-                lobes.weights[k, b] *= scale
+                lobes.weights[k, b] *= scale if _goes_on(lobes, np.int64(k), np.int64(b)) else np.float32(0.0)
+
+
+@device
+def _goes_on(lobes: LobeCones, k, b):
+    """Whether sub-ray b of cone k leaves the surface."""
+    u = (((b & 7) + 0.5) * 0.25 - 1.0) * lobes.cones.spread[k, 0]
+    v = (((b >> 3) + 0.5) * 0.25 - 1.0) * lobes.cones.spread[k, 1]
+    return dot(row3(lobes.side, k), direction_of(lobes.cones, k, u, v)) >= 0.0
 
 
 @device
@@ -283,17 +307,6 @@ def _look(lobes: LobeCones, k, mask):
     x, y, z = direction_of(c, k, u, v)
     inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
     return total, x * inverse, y * inverse, z * inverse
-
-
-@device
-def _whole(lobes: LobeCones, k):
-    """What the sub-rays of cone k weigh together: less than 1 where the lobe has two cones."""
-    if lobes.part[k] == 0:
-        return 1.0
-    total = 0.0
-    for b in range(64):
-        total += np.float64(lobes.weights[k, b])
-    return total
 
 
 @uncounted

@@ -309,6 +309,7 @@ def _open_cones(
     """
     # a power of the cosine is nearly one
     beckmann = kind & BECKMANN != 0 or kind & KIND_MASK == ASHIKHMIN_SHIRLEY
+    outward = row3(lobes.geometric_normal, k)
     even, parts, part = False, 1, 0
     wide = grain = 2.0 * alpha
     while part < parts:
@@ -329,6 +330,7 @@ def _open_cones(
         record.part[m] = part + 1 if parts == 2 else 0
         record.ray[m], record.blur[m] = small, 0.0
         for c in range(3):
+            record.side[m, c] = -outward[c] if transmission else outward[c]
             record.normal[m, c] = normal[c]
             record.incoming[m, c] = d[c] if transmission else wi[c]
         m, part = m + 1, part + 1
@@ -380,7 +382,7 @@ def _refract(
                 out.bsdf_pdf[m] = refracted_pdf(bend * bend, d, wo)
             m += 1
         return m
-    if not refracts:
+    if not refracts or dot(row3(lobes.geometric_normal, k), d) >= 0.0:
         return m
     # what hardly bends light hardly spreads it
     sharp = singular != 0 or bend * bend <= SINGULAR_ALPHA_SQUARED
