@@ -17,7 +17,7 @@ from pointmr_engine import (
     uniform_world,
 )
 from pointmr_engine.forward.drawing.cut_out_cover import nearest_as_opaque
-from pointmr_engine.forward.drawing.cut_outs import FINEST, build_cut_outs, lattices
+from pointmr_engine.forward.drawing.cut_outs import FINEST, SAMPLES, build_cut_outs, lattices
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.scene.graph import Graph, Link, Node
@@ -103,6 +103,55 @@ def test_what_is_opaque_all_over_shares_one_row():
         own = lattices(found)[found.mask[14:16]]
         assert (own == 255).any((1, 2)).all() and (own == 0).any((1, 2)).all()
         assert own.shape[1] == FINEST  # few rows, so each has many samples
+
+
+def bumpy_sheet(side: int, node: str, output: str) -> Mesh:
+    """A smooth sheet of 2 side^2 triangles, as opaque as a node says."""
+    steps = np.linspace(-1.0, 1.0, side + 1)
+    x, y = (a.ravel() for a in np.meshgrid(steps, steps))
+    z = 0.1 * np.sin(3.0 * x) * np.cos(2.0 * y)
+    normals = np.stack(
+        [-0.3 * np.cos(3.0 * x) * np.cos(2.0 * y), 0.2 * np.sin(3.0 * x) * np.sin(2.0 * y), 1 + 0 * x], 1
+    )
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    low = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    triangles = np.stack([low, low + 1, low + side + 2, low, low + side + 2, low + side + 1], 1).reshape(
+        -1, 3
+    )
+    nodes = {"alpha": Node(node), "bsdf": Node("principled", {"alpha": Link("alpha", output)})}
+    material = Material("sheet", Graph(nodes, surface=Link("bsdf", "bsdf")))
+    positions = np.stack([x, y, z], 1).astype(np.float32)
+    normals = normals.astype(np.float32)
+    return Mesh("sheet", positions, triangles.astype(np.int32), normals, materials=(material,))
+
+
+@pytest.mark.parametrize(
+    ("node", "output", "looks"),
+    [
+        ("geometry", "backfacing", 8),  # from two sides, at four points
+        ("layer_weight", "facing", 24),  # from six sides
+        ("noise_texture", "fac", 0),
+    ],
+)
+def test_many_triangles_are_looked_at_seldom(node, output, looks, monkeypatch):
+    """Minutes went by where a mix by Fresnel was looked at 1800 times in each triangle.
+
+    looks: in each triangle, besides as many in all of them as there is room for.
+    """
+    seen = [0]
+    transparency = program.Program.transparency
+
+    def counted(self, points):
+        seen[0] += points.count
+        return transparency(self, points)
+
+    monkeypatch.setattr(program.Program, "transparency", counted)
+    mesh = bumpy_sheet(230, node, output)
+    mean, densest = cut_outs(mesh)
+    assert (mean.mask >= 0).all()
+    assert seen[0] <= looks * len(mesh.triangles) + 1.2 * SAMPLES, seen
+    if node == "geometry":
+        assert len(mean.side) == 1 and not mean.cells.any() and (densest.cells == 255).all()
 
 
 @settings(max_examples=60)

@@ -105,6 +105,27 @@ def test_unknown_scenes_are_named():
         sources.find("no_such_scene")
 
 
+def test_random_scenes_are_named_by_seeds():
+    assert sources.names(["random_3-5", "bmw27"]) == ["random_3", "random_4", "random_5", "bmw27"]
+    a, b = sources.find("random_3"), sources.find("random_4")
+    assert a.kind == "random" and a.content != b.content
+    with pytest.raises(KeyError, match="random_SEED"):
+        sources.find("random_3-4")
+
+
+def test_a_seed_draws_the_same_scene_again():
+    bpy = pytest.importorskip("bpy")
+
+    def drawn(seed: int) -> list:
+        sources.find(f"random_{seed}").load()
+        found = [(o.name, *np.round(np.array(o.matrix_world).ravel(), 5)) for o in bpy.data.objects]
+        return found + [(n.bl_idname, m.name) for m in bpy.data.materials for n in m.node_tree.nodes]
+
+    first = [drawn(seed) for seed in range(1, 6)]
+    assert first == [drawn(seed) for seed in range(1, 6)]
+    assert len({str(scene) for scene in first}) == 5
+
+
 def test_cycles_is_set_up_fairly_and_its_error_falls(keepers, tmp_path):
     source = sources.find("light_point_soft")
     worker = keepers["cycles"].get()
