@@ -13,7 +13,7 @@ import numpy as np
 
 from pointmr_engine.multires.cones.cones import direction_of
 from pointmr_engine.multires.lobes.lobe_shares import OF_CONE
-from pointmr_engine.multires.lobes.lobe_view import LobeCones, pdf_of
+from pointmr_engine.multires.lobes.lobe_view import LobeCones, pdf_of, slopes_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     ELLIPSE,
@@ -86,7 +86,7 @@ def _stopped(fragments, first, end, b):
 def _slopes(lobes, k, b):
     """Slopes of sub-ray b of cone k; what is left of a cell whose middle the lobe's core covers is met beside it."""
     wide, high = np.float64(lobes.cones.spread[k, 0]), np.float64(lobes.cones.spread[k, 1])
-    u, v = (((b & 7) + 0.5) * 0.25 - 1.0) * wide, (((b >> 3) + 0.5) * 0.25 - 1.0) * high
+    u, v = slopes_of(lobes.cones, k, b)
     if lobes.part[k] == 2:
         core_u, core_v = np.float64(lobes.cones.spread[k - 1, 0]), np.float64(lobes.cones.spread[k - 1, 1])
         if abs(u) < core_u and abs(v) < core_v:

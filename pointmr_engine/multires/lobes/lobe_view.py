@@ -140,6 +140,13 @@ def pdf_of(lobes: LobeCones, k, alpha, direction):
 
 
 @device
+def slopes_of(cones, k, b):
+    """Slopes (u, v) of sub-ray b of cone k."""
+    u, v = ((b & 7) + 0.5) * 0.25 - 1.0, ((b >> 3) + 0.5) * 0.25 - 1.0
+    return u * np.float64(cones.spread[k, 0]), v * np.float64(cones.spread[k, 1])
+
+
+@device
 def _in_core(c, m, x, y, z):
     """Whether a direction lies in the square that cone m covers."""
     t = x * c.axes[m, 2, 0] + y * c.axes[m, 2, 1] + z * c.axes[m, 2, 2]
@@ -239,8 +246,7 @@ def thin_out(paths: Paths, lobes: LobeCones, chances, strong, count):
         for a in range(3):
             t[a] *= whole
         b = choose_bit(np.int64(-1), lobes.weights, np.int64(m), chances[m])
-        u = (((b & 7) + 0.5) * 0.25 - 1.0) * c.spread[m, 0]
-        v = (((b >> 3) + 0.5) * 0.25 - 1.0) * c.spread[m, 1]
+        u, v = slopes_of(c, m, b)
         inverse = 1.0 / math.sqrt(1.0 + u * u + v * v)
         x, y, z = direction_of(c, m, u, v)
         d = paths.rays.direction
@@ -276,8 +282,7 @@ def weigh_sub_rays(lobes: LobeCones, count):
 @device
 def _goes_on(lobes: LobeCones, k, b):
     """Whether sub-ray b of cone k leaves the surface."""
-    u = (((b & 7) + 0.5) * 0.25 - 1.0) * lobes.cones.spread[k, 0]
-    v = (((b >> 3) + 0.5) * 0.25 - 1.0) * lobes.cones.spread[k, 1]
+    u, v = slopes_of(lobes.cones, k, b)
     return dot(row3(lobes.side, k), direction_of(lobes.cones, k, u, v)) >= 0.0
 
 
