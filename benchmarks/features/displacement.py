@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import bpy
+
 from benchmarks.features.registry import feature
 from benchmarks.features.stage import cube, diffuse, node, sphere, studio
 
 
-def _displaced(method: str, scale: float):
-    """A diffuse material, displaced by a noise."""
-    item = diffuse(method, lambda t: node(t, "ShaderNodeRGB").outputs[0])
-    tree = item.node_tree
-    noise = node(tree, "ShaderNodeTexNoise", {"Scale": 3.0, "Detail": 1.0})
-    height = node(tree, "ShaderNodeDisplacement", {"Height": noise.outputs[0], "Scale": scale})
+def displace(surface: bpy.types.Material, method: str, **inputs) -> None:
+    """Give a material a Displacement node with these inputs; method: "DISPLACEMENT", "BUMP" or "BOTH"."""
+    tree = surface.node_tree
+    height = node(tree, "ShaderNodeDisplacement", inputs)
     end = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeOutputMaterial")
     tree.links.new(height.outputs[0], end.inputs["Displacement"])
-    item.displacement_method = method
+    surface.displacement_method = method
+
+
+def _displaced(method: str, scale: float) -> bpy.types.Material:
+    """A diffuse material, displaced by a noise."""
+    item = diffuse(method, lambda t: node(t, "ShaderNodeRGB").outputs[0])
+    noise = node(item.node_tree, "ShaderNodeTexNoise", {"Scale": 3.0, "Detail": 1.0})
+    displace(item, method, Height=noise.outputs[0], Scale=scale)
     return item
 
 

@@ -118,13 +118,13 @@ def change(item: bpy.types.Object, dice: Random) -> None:
     for name, chance in (("shadow", 0.15), ("camera", 0.1), ("glossy", 0.1), ("diffuse", 0.05)):
         setattr(item, f"visible_{name}", dice.random() >= chance)
     if dice.random() < CHANCE_OF_KEYFRAMES:
-        for name, frame in (("location", 1), ("rotation_euler", 1), ("location", LAST_FRAME)):
+        for frame in (1, LAST_FRAME):
             if frame == LAST_FRAME:
                 item.location.x += dice.uniform(-1, 1)
                 item.location.z += dice.uniform(0, 0.5)
                 item.rotation_euler.z += dice.uniform(-2, 2)
-                item.keyframe_insert("rotation_euler", frame=LAST_FRAME)
-            item.keyframe_insert(name, frame=frame)
+            for name in ("location", "rotation_euler"):
+                item.keyframe_insert(name, frame=frame)
 
 
 def single(surfaces, dice: Random) -> bpy.types.Object:

@@ -6,6 +6,7 @@ from random import Random
 
 import bpy
 
+from benchmarks.features.displacement import displace
 from benchmarks.features.stage import image, material, node, tiles, tree_of
 
 DEEPEST = 2  # mix and add shaders within each other
@@ -41,7 +42,7 @@ def pattern(tree, dice: Random) -> bpy.types.NodeSocket:
         extension = dice.choice(["REPEAT", "EXTEND", "CLIP"])
         shown = node(tree, "ShaderNodeTexImage", where, image=card(), extension=extension)
         return shown.outputs[dice.choice(["Color", "Color", "Alpha"])]
-    if kind not in ("Gradient", "Image"):
+    if kind != "Gradient":
         where["Scale"] = 1.0
     if kind == "Noise":
         where["Detail"] = dice.choice([0.0, 2.0, 4.0])
@@ -169,20 +170,13 @@ def shader(tree, dice: Random, depth: int = 0) -> bpy.types.NodeSocket:
     return node(tree, f"ShaderNodeBsdf{kind}", inputs).outputs[0]
 
 
-def displaced(surface: bpy.types.Material, dice: Random) -> None:
-    """Give a material a displacement, by moved vertices, by bump, or by both."""
-    tree = tree_of(surface)
-    end = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeOutputMaterial")
-    height = {"Height": pattern(tree, dice), "Scale": dice.uniform(0.05, 0.25), "Midlevel": 0.5}
-    tree.links.new(node(tree, "ShaderNodeDisplacement", height).outputs[0], end.inputs["Displacement"])
-    surface.displacement_method = dice.choice(["DISPLACEMENT", "BOTH", "BUMP"])
-
-
 def materials(dice: Random) -> list[bpy.types.Material]:
     """Two to four materials, a fifth of them displaced."""
     found = []
     for k in range(dice.randint(2, 4)):
         found.append(material(f"Material {k}", lambda tree: shader(tree, dice)))
         if dice.random() < 0.2:
-            displaced(found[-1], dice)
+            height, scale = pattern(tree_of(found[-1]), dice), dice.uniform(0.05, 0.25)
+            method = dice.choice(["DISPLACEMENT", "BOTH", "BUMP"])
+            displace(found[-1], method, Height=height, Scale=scale, Midlevel=0.5)
     return found

@@ -188,7 +188,7 @@ class Shader:
         def points(needs: frozenset[str]):
             return lambda index: self._gather(rays, hits, frames, index, needs, state)
 
-        means, slopes, variance, widened = [], None, None, rows[:0]
+        means, slopes, variance, widened = [], None, None, None
         if program.fine_needs:
             found, slopes = footprint_means(
                 program.fine_values,

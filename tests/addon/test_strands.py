@@ -15,6 +15,7 @@ import node_planes  # noqa: E402
 import blender_addon  # noqa: E402
 from benchmarks import methods  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
+from benchmarks.features.displacement import displace  # noqa: E402
 from benchmarks.sources import exported  # noqa: E402
 from blender_addon.sync import strands as S  # noqa: E402
 from blender_addon.sync.attributes import NOTHING  # noqa: E402
@@ -148,11 +149,7 @@ def test_strands_look_as_in_cycles(tmp_path, alpha, height):
     stage.world((0.4, 0.5, 0.6), 1.0)
     material = stage.principled("hair", Base_Color=(0.6, 0.3, 0.1, 1), Roughness=0.9, Alpha=alpha)
     if height:
-        tree = material.node_tree
-        moved = stage.node(tree, "ShaderNodeDisplacement", {"Height": height, "Midlevel": 0.0})
-        end = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeOutputMaterial")
-        tree.links.new(moved.outputs[0], end.inputs["Displacement"])
-        material.displacement_method = "DISPLACEMENT"
+        displace(material, "DISPLACEMENT", Height=height, Midlevel=0.0)
     hair(material)
     stage.lamp("SUN", 2.0, (-2, -4, 4), (0, 0, 1), angle=0.0)
     view()

@@ -31,9 +31,8 @@ from pointmr_engine.forward.drawing.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import triangle_materials
 from pointmr_engine.numerics.jit import device
 
-SAMPLES = (
-    8_000_000  # cells at most, of which half lie in triangles, over all that differ and all looks at them
-)
+# cells at most, of which half lie in triangles, over all that differ and all looks at them
+SAMPLES = 8_000_000
 FINEST = 128  # samples along a triangle's edge at most
 NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose holes have a colour of their own
 # so many samples along an edge tell which triangles are the same all over, which share one row; where very many

@@ -49,9 +49,8 @@ class LobeCones(NamedTuple):
     beckmann: np.ndarray  # (N,) bool: whose slopes are as a Gaussian has them, and not as GGX
     # (N,) bool: of curved mirrors and clear glass: the footprint itself, all of which weighs alike
     even: np.ndarray
-    side: (
-        np.ndarray
-    )  # (N, 3) float32: geometric normal where light goes on; lobes that bumps tilt end at its plane
+    # (N, 3) float32: geometric normal where light goes on; lobes that bumps tilt end at its plane
+    side: np.ndarray
 
 
 def allocate_lobe_cones(n: int, cones: Cones) -> LobeCones:
