@@ -288,6 +288,37 @@ def test_surfaces_with_fine_holes_are_shaded_where_they_are_opaque(method, colou
     np.testing.assert_allclose(seen(material, method, 1), exact, rtol=0.06)
 
 
+@pytest.mark.parametrize("scale", [7.0, 23.0])
+@pytest.mark.parametrize("opacity", [0.4, 0.8, Link("fresnel", "fac")], ids=["clear", "dense", "fresnel"])
+def test_what_is_half_clear_in_places_shines_as_much(opacity, scale):
+    """Checks, some of which are dark and half clear: these have a colour of their own, and are no holes."""
+    nodes = {
+        "place": Node("attribute", {}, {"name": "place"}),
+        "checks": Node("checker_texture", {"vector": Link("place", "vector"), "scale": scale}),
+        "fresnel": Node("fresnel", {"ior": 1.3}),
+        "clear": Node("transparent", {"color": (1.0, 1.0, 1.0)}),
+        "dark": Node("diffuse", {"color": (0.2, 0.2, 0.2)}),
+        "bright": Node("diffuse", {"color": (0.8, 0.8, 0.8)}),
+        "thin": Node("mix_shader", {
+            "fac": opacity, "shader": Link("clear", "bsdf"), "shader_b": Link("dark", "bsdf"),
+        }),
+        "mix": Node("mix_shader", {
+            "fac": Link("checks", "fac"), "shader": Link("thin", "shader"), "shader_b": Link("bright", "bsdf"),
+        }),
+    }  # fmt: skip
+    material = Material("half clear", Graph(nodes, surface=Link("mix", "shader")))
+    sun = [Light("SUN", at(0.0, 0.0, 5.0), power=3.0, angle=0.0)]
+    scene = Scene(Group("root", [leaves(8, material)]), from_above(9.0), sun, BLACK)
+
+    def brightness(**values) -> float:
+        return render(scene, RenderSettings(64, 48, **values)).passes["combined"][..., :3].mean()
+
+    exact = brightness(method="distributed", samples=64)
+    assert brightness(method="raytrace") == pytest.approx(exact, rel=0.045)
+    # one place of a pixel is asked there
+    assert brightness(method="forward") == pytest.approx(exact, rel=0.13)
+
+
 @pytest.mark.parametrize("glow", [False, True])
 def test_colours_are_averaged_over_what_is_opaque(monkeypatch, glow):
     """Texels of all colours, a few in a pixel, and holes between them: nearer than what one texel tells."""

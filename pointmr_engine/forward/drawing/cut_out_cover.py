@@ -132,11 +132,21 @@ def nearest_as_opaque(cells, start, side, u, v, least, rings):
     return bi, bj
 
 
+@device
+def _beside_hole(cells, start, side, p, q):
+    """Whether one of the cells about (p, q), BESIDE away at most, is a hole."""
+    for j in range(max(q - BESIDE, 0), min(q + BESIDE, side - 1) + 1):
+        for i in range(max(p - BESIDE, 0), min(p + BESIDE, side - 1 - j) + 1):
+            if cells[start + j * side + i] < SEEN:
+                return True
+    return False
+
+
 @uncounted
 def move_to_opaque(cut_outs, fragments, first, count):
     """Move the places of fragments first..first + count out of holes: to the sample of the nearest cell in which
-    something is seen, and on to an opaque one where that is its neighbour, for a cell that an outline crosses is half
-    a hole. What is half transparent has a colour of its own, and stays. fragments: Fragments.
+    something is seen, and on to an opaque one where an outline lies between, for a cell that it crosses is half a hole.
+    What is half transparent has a colour of its own, and stays. fragments: Fragments.
     """
     cells = cut_outs.cells
     for k in range(first, first + count):
@@ -155,9 +165,10 @@ def move_to_opaque(cut_outs, fragments, first, count):
             if p < 0:
                 continue
             u, v = p + 1.0 / 3.0, q + 1.0 / 3.0
-        i, j = nearest_as_opaque(cells, start, side, u, v, OPAQUE, BESIDE)
-        if i >= 0:
-            moved, p, q = True, i, j
+        if moved or _beside_hole(cells, start, side, p, q):
+            i, j = nearest_as_opaque(cells, start, side, u, v, OPAQUE, BESIDE)
+            if i >= 0:
+                moved, p, q = True, i, j
         if moved:
             fragments.place[k, 0], fragments.place[k, 1] = sample_place(mask, p, q, side)
 
@@ -167,7 +178,8 @@ def with_holes(cut_outs, fragments, first, count, out):
     """Write those of the fragments first..first + count that are of triangles with holes to out (count,); how many."""
     n = np.int64(0)
     for k in range(first, first + count):
-        if cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k])) >= 0:
+        mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
+        if mask >= 0 and not cut_outs.even[mask]:
             out[n] = k
             n += 1
     return n

@@ -51,6 +51,7 @@ class CutOuts(NamedTuple):
     start: np.ndarray  # (M,) int64 place in `cells` of a lattice's first
     side: np.ndarray  # (M,) int64: R
     most: np.ndarray  # (M,) uint8: the largest of a lattice
+    even: np.ndarray  # (M,) bool: a lattice is the same all over
     cells: np.ndarray  # uint8; 255: opaque
 
 
@@ -66,8 +67,9 @@ def even_cut_outs(first: np.ndarray, mask: np.ndarray, opacity: np.ndarray) -> C
     """Those whose lattices are the same size: opacity (M, R, R) uint8."""
     count, side, _ = opacity.shape
     start = np.arange(count, dtype=np.int64) * side**2
-    most = opacity.reshape(count, side**2).max(1, initial=0)
-    return CutOuts(first, mask, start, np.full(count, side, np.int64), most, opacity.reshape(-1))
+    cells = opacity.reshape(count, side**2)
+    most, even = cells.max(1, initial=0), (cells == cells[:, :1]).all(1)
+    return CutOuts(first, mask, start, np.full(count, side, np.int64), most, even, cells.reshape(-1))
 
 
 def lattices(cut_outs: CutOuts) -> np.ndarray:
@@ -181,8 +183,8 @@ def _without_even(source: Source, which: np.ndarray, side: int) -> tuple[np.ndar
 def look_where_opaque(
     opacity_of: PartOpacity, cut_outs: CutOuts, densest: bool, fragments, first: int, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the places at which fragments first..first + count are shaded out of holes; which have some (n,) int64,
-    counted from `first`, and the materials of these (n,) int32.
+    """Move the places at which fragments first..first + count are shaded out of holes; which may have some (n,) int64,
+    counted from `first`, and the materials of these (n,) int32. What is the same all over has none.
 
     fragments: Fragments; changes `place`. densest: the cut-outs are those of the channel that is blocked most.
 

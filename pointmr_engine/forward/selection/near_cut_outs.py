@@ -63,7 +63,7 @@ class NearCutOuts:
         size = subpixels * size[0], subpixels * size[1]
         large = largest_in_view(view, hierarchy, camera_from_world, size, len(coarse), least)
         rows = np.flatnonzero(large > least)
-        rows = rows[(coarse[rows] != coarse[rows, :1, :1]).any((1, 2))]
+        rows = rows[~cut_outs.even[rows]]
         looks = np.repeat([source.looks for source in self._sources], np.diff(self._first))
         sides = lattice_sides(large[rows], coarse.shape[1], looks[rows])
         wanted = [(int(row), int(side)) for row, side in zip(rows, sides, strict=True)]

@@ -26,7 +26,8 @@ def _leave_holes(lobes, through, k):
     """Point k, averaged over a footprint with holes, lets through what its opaque part does; returns by how much the
     lobes of that are stronger.
 
-    through (N, 3) float32: what the place lets through by itself. What the footprint lets through besides are holes.
+    through (N, 3) float32: what the place lets through by itself. What the footprint lets through besides are holes,
+    or less than none: where places differ that are all half clear, the means of what they give are those of the lobes.
     """
     holes, least = 0.0, 1.0
     for c in range(3):
@@ -37,7 +38,7 @@ def _leave_holes(lobes, through, k):
     opaque = 1.0 - least
     if opaque < FAINTEST:
         return 1.0
-    return opaque / max(opaque - max(holes, 0.0), FAINTEST * opaque)
+    return opaque / max(opaque - holes, FAINTEST * opaque)
 
 
 @uncounted
