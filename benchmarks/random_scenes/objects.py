@@ -115,8 +115,13 @@ def change(item: bpy.types.Object, dice: Random) -> None:
         item.rotation_euler = tuple(dice.uniform(-1, 1) for _ in range(3))
     if item.type == "MESH" and dice.random() < 0.15:
         item.modifiers.new("Array", "ARRAY").count = 3
-    for name, chance in (("shadow", 0.15), ("camera", 0.1), ("glossy", 0.1), ("diffuse", 0.05)):
+    for name, chance in (("camera", 0.1), ("glossy", 0.1)):
         setattr(item, f"visible_{name}", dice.random() >= chance)
+    if dice.random() < 0.15:
+        # not from shadow rays alone: what rays of lobes meet besides, Cycles weighs against these, and how much of a
+        # shadow is left goes by its probabilities of sampling
+        for name in ("shadow", "diffuse", "glossy", "transmission"):
+            setattr(item, f"visible_{name}", False)
     if dice.random() < CHANCE_OF_KEYFRAMES:
         for frame in (1, LAST_FRAME):
             if frame == LAST_FRAME:

@@ -23,6 +23,7 @@ from pointmr_engine.shading.footprint_mean import (
     Slopes,
     footprint_means,
     normal_means,
+    one_normal,
     slope_variance,
     stretched_means,
 )
@@ -94,13 +95,17 @@ class Means(NamedTuple):
 
     values: list[tuple[np.ndarray, dict]]  # for program.fill_leaves
     slopes: Slopes | None  # of fine textures
-    rows: np.ndarray | None  # (n,) of points whose normals were averaged ...
-    variance: np.ndarray | None  # ... (n,) float32 and the variance of slopes there, or None
+    rows: np.ndarray | None  # (n,) of points whose lobes are widened ...
+    variance: np.ndarray | None  # ... (n,) float32 by this variance of slopes, or None
 
 
 NO_MEANS = Means([], None, None, None)
-# variance of slopes in a footprint, above which one normal stands for it: no lobe about the mean is like theirs, which
-# lie in every direction, and hide and miss light as they do
+# variance of slopes in a footprint, up to which a lobe about their mean stands for all of them. Above, one place's
+# normal does: bumps have not the tails of such a lobe, in which small lamps would shine far and wide. As in an estimate
+# of a density, each place's lobe is a little wider ...
+GENTLE = 0.01
+KERNEL = 0.25  # of the deviation, and of the footprint over which images are filtered for it
+# ... up to here: steep bumps lie in every direction, and what is wider misses light below the surface, as they do not
 STEEPEST = 0.2
 
 
@@ -200,17 +205,18 @@ class Shader:
             )
             means.append((seen, found))
         if program.normal_needs:
-            normals = normal_means(
-                program.normal_values,
-                points(program.normal_needs),
-                rows[seen],
-                program.normal_reads,
-                self.seed,
-            )
+            wanted = points(program.normal_needs), program.normal_reads, self.seed
+            normals = normal_means(program.normal_values, rows[seen], *wanted)
             variance = slope_variance(list(normals.values()))
+            gentle, bent = np.flatnonzero(variance <= GENTLE), np.flatnonzero(variance > GENTLE)
+            means.append((seen[gentle], {name: values[gentle] for name, values in normals.items()}))
+            if len(bent):
+                means.append(
+                    (seen[bent], one_normal(program.normal_values, rows[seen[bent]], *wanted, KERNEL))
+                )
             flat = np.flatnonzero(variance <= STEEPEST)
+            variance[bent] *= np.float32(KERNEL**2)
             variance, widened = variance[flat], rows[seen[flat]]
-            means.append((seen[flat], {name: values[flat] for name, values in normals.items()}))
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
             oblique = np.flatnonzero(cosine < OBLIQUE)

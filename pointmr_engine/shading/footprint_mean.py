@@ -83,13 +83,19 @@ def footprint_means(
     return mean, slopes
 
 
-def normal_means(run, gather, rows: np.ndarray, needs: frozenset[str], seed: int = 0) -> dict:
+def normal_means(run, rows: np.ndarray, gather, needs: frozenset[str], seed: int = 0) -> dict:
     """`footprint_means` of normals (n, 3), at the first places: the shorter, the more they differ.
 
     Images are filtered there over the part of the footprint that a place stands for.
     """
     found, _, _ = _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))
     return {name: v.mean(0) for name, v in found.items()}
+
+
+def one_normal(run, rows: np.ndarray, gather, needs: frozenset[str], seed: int, width: float) -> dict:
+    """Normals (n, 3) by name at one place of each footprint, any of it; images are filtered over so much of it."""
+    found, _, _ = _at_places(run, gather, rows, needs, seed, 0, 1, width)
+    return {name: v[0] for name, v in found.items()}
 
 
 def _with(slopes: Slopes, rows: np.ndarray, along: tuple[dict, dict]) -> Slopes:

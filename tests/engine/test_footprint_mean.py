@@ -399,7 +399,7 @@ def test_places_beyond_a_triangle_have_the_normal_of_its_middle():
         seen.append((there.normal, there.smooth_normal, there.tangents[""]))
         return {"normal": there.normal}
 
-    normal_means(run, lambda rows: points, np.arange(50), frozenset({"normal"}))
+    normal_means(run, np.arange(50), lambda rows: points, frozenset({"normal"}))
     for found, own in zip(seen[0], (points.normal, points.normal, points.tangents[""]), strict=True):
         np.testing.assert_array_equal(found, np.tile(own, (FIRST, 1)))
 
