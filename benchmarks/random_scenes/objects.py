@@ -1,4 +1,4 @@
-"""Objects drawn at random: solids, leaf clouds and strands, moved and keyframed, repeated by instancers."""
+"""Objects drawn at random: solids, leaf clouds and strands, moved and keyframed, repeated by instancers and in fields."""
 
 from __future__ import annotations
 
@@ -188,6 +188,17 @@ def on_parts(surfaces, dice: Random) -> None:
     parent.show_instancer_for_render = dice.random() < 0.7
 
 
+def field(surfaces, dice: Random) -> None:
+    """Hundreds to thousands of one small object all over the floor, on the vertices of a mesh."""
+    rng = np.random.default_rng(dice.randrange(2**32))
+    places = rng.uniform((-4, -2, 0), (4, 8, 0), (dice.choice([300, 3000]), 3))
+    parent = stage.mesh_object("Field", places, [])
+    child = dice.choice([leaf_cloud, leaf_cloud, strands, solid])(dice.choice(surfaces), dice)
+    size = dice.uniform(0.05, 0.25)
+    child.location, child.scale = (0, 0, 0), (size, size, size)
+    child.parent, parent.instance_type = parent, "VERTS"
+
+
 def objects(surfaces, dice: Random) -> None:
     """A floor and what stands on it."""
     floor = stage.matte(name="Floor") if dice.random() < 0.6 else dice.choice(surfaces)
@@ -197,3 +208,5 @@ def objects(surfaces, dice: Random) -> None:
         empties(items, dice)
     if dice.random() < 0.15:
         on_parts(surfaces, dice)
+    if dice.random() < 0.15:
+        field(surfaces, dice)

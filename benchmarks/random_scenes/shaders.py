@@ -5,6 +5,7 @@ from __future__ import annotations
 from random import Random
 
 import bpy
+import numpy as np
 
 from benchmarks.features.displacement import displace
 from benchmarks.features.stage import image, material, node, tiles, tree_of
@@ -20,6 +21,16 @@ def color(dice: Random) -> tuple[float, float, float]:
 def card() -> bpy.types.Image:
     """The picture that all image textures of a scene show."""
     return bpy.data.images.get("Card") or image("Card", tiles())
+
+
+def leaf() -> bpy.types.Image:
+    """The picture of a leaf with a soft outline, and nothing about it."""
+    if "Leaf" in bpy.data.images:
+        return bpy.data.images["Leaf"]
+    y, x = np.mgrid[0:64, 0:64] / 32.0 - 1.0
+    inside = np.clip(8.0 * (0.8 - np.hypot(x / (0.7 - 0.4 * y), y)), 0.0, 1.0)
+    picture = np.stack([0.2 + 0.2 * x, 0.5 - 0.3 * np.abs(x), 0.1 + 0.1 * y, inside], -1)
+    return image("Leaf", np.clip(picture, 0.0, 1.0).astype(np.float32))
 
 
 def pattern(tree, dice: Random) -> bpy.types.NodeSocket:
@@ -121,8 +132,12 @@ def principled(tree, dice: Random, base, roughness: float, extra: dict) -> bpy.t
         inputs |= {"Transmission Weight": dice.choice([0.5, 1.0]), "IOR": dice.choice([1.1, 1.33, 1.5])}
     if dice.random() < 0.2:
         inputs["Sheen Weight"] = dice.random()
-    if dice.random() < 0.25:
-        inputs["Alpha"] = shade(tree, dice) if dice.random() < 0.6 else dice.random()
+    if dice.random() < 0.3:
+        kind = dice.choice(["even", "varied", "varied", "leaf"])
+        inputs["Alpha"] = shade(tree, dice) if kind == "varied" else dice.random()
+        if kind == "leaf":
+            shown = node(tree, "ShaderNodeTexImage", image=leaf()).outputs
+            inputs |= {"Base Color": shown["Color"], "Alpha": shown["Alpha"]}
     if dice.random() < 0.15:
         inputs |= {"Emission Strength": dice.random(), "Emission Color": color(dice)}
     if dice.random() < 0.2:

@@ -22,8 +22,8 @@ from pointmr_engine.shading.footprint_mean import (
     SOME,
     Slopes,
     footprint_means,
-    normal_means,
-    one_normal,
+    nearer_to_mean,
+    normals_at_places,
     slope_variance,
     stretched_means,
 )
@@ -100,12 +100,10 @@ class Means(NamedTuple):
 
 
 NO_MEANS = Means([], None, None, None)
-# variance of slopes in a footprint, up to which a lobe about their mean stands for all of them. Above, one place's
-# normal does: bumps have not the tails of such a lobe, in which small lamps would shine far and wide. As in an estimate
-# of a density, each place's lobe is a little wider ...
-GENTLE = 0.01
-KERNEL = 0.25  # of the deviation, and of the footprint over which images are filtered for it
-# ... up to here: steep bumps lie in every direction, and what is wider misses light below the surface, as they do not
+# variance of slopes in a footprint, up to which a lobe about their mean stands for them. By what they vary besides, one
+# place's normal differs from it: bumps have not the tails of such a lobe, in which small lamps would shine far and wide
+GENTLE = 0.005
+# ... from which on one place's normal stands for all: they lie in every direction, and hide and miss light as they do
 STEEPEST = 0.2
 
 
@@ -205,18 +203,17 @@ class Shader:
             )
             means.append((seen, found))
         if program.normal_needs:
-            wanted = points(program.normal_needs), program.normal_reads, self.seed
-            normals = normal_means(program.normal_values, rows[seen], *wanted)
-            variance = slope_variance(list(normals.values()))
-            gentle, bent = np.flatnonzero(variance <= GENTLE), np.flatnonzero(variance > GENTLE)
-            means.append((seen[gentle], {name: values[gentle] for name, values in normals.items()}))
-            if len(bent):
-                means.append(
-                    (seen[bent], one_normal(program.normal_values, rows[seen[bent]], *wanted, KERNEL))
-                )
-            flat = np.flatnonzero(variance <= STEEPEST)
-            variance[bent] *= np.float32(KERNEL**2)
-            variance, widened = variance[flat], rows[seen[flat]]
+            normals = normals_at_places(
+                program.normal_values,
+                points(program.normal_needs),
+                rows[seen],
+                program.normal_reads,
+                self.seed,
+            )
+            variance = slope_variance(normals)
+            widened, shared = rows[seen], np.where(variance <= STEEPEST, np.minimum(variance, GENTLE), 0.0)
+            means.append((seen, nearer_to_mean(normals, shared / np.maximum(variance, 1e-12))))
+            variance = shared.astype(np.float32)
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
             oblique = np.flatnonzero(cosine < OBLIQUE)

@@ -83,19 +83,22 @@ def footprint_means(
     return mean, slopes
 
 
-def normal_means(run, rows: np.ndarray, gather, needs: frozenset[str], seed: int = 0) -> dict:
-    """`footprint_means` of normals (n, 3), at the first places: the shorter, the more they differ.
+def normals_at_places(run, gather, rows: np.ndarray, needs: frozenset[str], seed: int = 0) -> dict:
+    """Normals (FIRST, n, 3) by name at the first places of footprints; see `footprint_means`.
 
     Images are filtered there over the part of the footprint that a place stands for.
     """
-    found, _, _ = _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))
-    return {name: v.mean(0) for name, v in found.items()}
+    return _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))[0]
 
 
-def one_normal(run, rows: np.ndarray, gather, needs: frozenset[str], seed: int, width: float) -> dict:
-    """Normals (n, 3) by name at one place of each footprint, any of it; images are filtered over so much of it."""
-    found, _, _ = _at_places(run, gather, rows, needs, seed, 0, 1, width)
-    return {name: v[0] for name, v in found.items()}
+def nearer_to_mean(normals: dict, shared: np.ndarray) -> dict:
+    """Normals (n, 3) by name at one place each, of `normals_at_places`, so much nearer to the mean of all places that
+    they vary by 1 - shared (n,), 0..1, of what these do."""
+    apart, found = np.sqrt(1.0 - shared).astype(np.float32)[:, None], {}
+    for name, places in normals.items():
+        mean = places.mean(0)
+        found[name] = mean + apart * (places[0] - mean)
+    return found
 
 
 def _with(slopes: Slopes, rows: np.ndarray, along: tuple[dict, dict]) -> Slopes:
@@ -210,10 +213,11 @@ def _differ(values: dict, apart: float) -> np.ndarray:
     return differ
 
 
-def slope_variance(means: list[np.ndarray]) -> np.ndarray:
-    """(n,) float32 variance of slopes along one axis, of unit normals of which means (n, 3) of FIRST places are given;
-    of several, the largest (Toksvig 2005, "Mipmapping Normal Maps").
+def slope_variance(normals: dict) -> np.ndarray:
+    """(n,) float32 variance of slopes along one axis, of unit normals (FIRST, n, 3) by name; of several, the largest
+    (Toksvig 2005, "Mipmapping Normal Maps").
     """
+    means = [places.mean(0) for places in normals.values()]
     length = np.sqrt(np.min([dot(m, m) for m in means], axis=0))
     return np.maximum(1.0 / np.maximum(length, 0.1) - 1.0, 0.0).astype(np.float32) * np.float32(OF_FEW)
 
