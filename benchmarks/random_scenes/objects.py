@@ -1,4 +1,4 @@
-"""Objects drawn at random: solids, leaf clouds and strands, moved and keyframed, repeated by instancers and in fields."""
+"""Objects drawn at random: solids, leaf clouds and strands, moved and keyframed, repeated by instancers."""
 
 from __future__ import annotations
 
