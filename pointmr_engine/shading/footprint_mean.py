@@ -92,8 +92,11 @@ def normals_at_places(run, gather, rows: np.ndarray, needs: frozenset[str], seed
 
 
 def nearer_to_mean(normals: dict, shared: np.ndarray) -> dict:
-    """Normals (n, 3) by name at one place each, of `normals_at_places`, so much nearer to the mean of all places that
-    they vary by 1 - shared (n,), 0..1, of what these do."""
+    """Normals (n, 3) by name, of `normals_at_places` (FIRST, n, 3): those at one place, so much nearer to the mean of
+    all places that they vary by 1 - shared of what these do.
+
+    shared (n,): the part of the variance, 0..1, that lobes about the result have besides.
+    """
     apart, found = np.sqrt(1.0 - shared).astype(np.float32)[:, None], {}
     for name, places in normals.items():
         mean = places.mean(0)
