@@ -18,19 +18,17 @@ def color(dice: Random) -> tuple[float, float, float]:
     return tuple(dice.uniform(0.03, 0.9) for _ in range(3))
 
 
-def card() -> bpy.types.Image:
-    """The picture that all image textures of a scene show."""
-    return bpy.data.images.get("Card") or image("Card", tiles())
+def shared(name: str, draw) -> bpy.types.Image:
+    """A picture that all image textures of a scene share, drawn at its first use."""
+    return bpy.data.images.get(name) or image(name, draw())
 
 
-def leaf() -> bpy.types.Image:
-    """The picture of a leaf with a soft outline, and nothing about it."""
-    if "Leaf" in bpy.data.images:
-        return bpy.data.images["Leaf"]
+def leaf() -> np.ndarray:
+    """A leaf with a soft outline, and nothing about it: (64, 64, 4)."""
     y, x = np.mgrid[0:64, 0:64] / 32.0 - 1.0
     inside = np.clip(8.0 * (0.8 - np.hypot(x / (0.7 - 0.4 * y), y)), 0.0, 1.0)
     picture = np.stack([0.2 + 0.2 * x, 0.5 - 0.3 * np.abs(x), 0.1 + 0.1 * y, inside], -1)
-    return image("Leaf", np.clip(picture, 0.0, 1.0).astype(np.float32))
+    return np.clip(picture, 0.0, 1.0)
 
 
 def pattern(tree, dice: Random) -> bpy.types.NodeSocket:
@@ -51,7 +49,7 @@ def pattern(tree, dice: Random) -> bpy.types.NodeSocket:
     kind = dice.choice(["Noise", "Voronoi", "Wave", "Checker", "Brick", "Magic", "Gradient", "Image"])
     if kind == "Image":
         extension = dice.choice(["REPEAT", "EXTEND", "CLIP"])
-        shown = node(tree, "ShaderNodeTexImage", where, image=card(), extension=extension)
+        shown = node(tree, "ShaderNodeTexImage", where, image=shared("Card", tiles), extension=extension)
         return shown.outputs[dice.choice(["Color", "Color", "Alpha"])]
     if kind != "Gradient":
         where["Scale"] = 1.0
@@ -136,7 +134,7 @@ def principled(tree, dice: Random, base, roughness: float, extra: dict) -> bpy.t
         kind = dice.choice(["even", "varied", "varied", "leaf"])
         inputs["Alpha"] = shade(tree, dice) if kind == "varied" else dice.random()
         if kind == "leaf":
-            shown = node(tree, "ShaderNodeTexImage", image=leaf()).outputs
+            shown = node(tree, "ShaderNodeTexImage", image=shared("Leaf", leaf)).outputs
             inputs |= {"Base Color": shown["Color"], "Alpha": shown["Alpha"]}
     if dice.random() < 0.15:
         inputs |= {"Emission Strength": dice.random(), "Emission Color": color(dice)}

@@ -22,7 +22,7 @@ from pointmr_engine.shading.footprint_mean import (
     SOME,
     Slopes,
     footprint_means,
-    nearer_to_mean,
+    nearer_to_means,
     normals_at_places,
     slope_variance,
     stretched_means,
@@ -210,10 +210,14 @@ class Shader:
                 program.normal_reads,
                 self.seed,
             )
-            variance = slope_variance(normals)
-            widened, shared = rows[seen], np.where(variance <= STEEPEST, np.minimum(variance, GENTLE), 0.0)
-            means.append((seen, nearer_to_mean(normals, shared / np.maximum(variance, 1e-12))))
-            variance = shared.astype(np.float32)
+            of_places = {name: places.mean(0) for name, places in normals.items()}
+            whole = slope_variance(list(of_places.values()))
+            widened, variance = (
+                rows[seen],
+                np.where(whole <= STEEPEST, np.minimum(whole, GENTLE), np.float32(0)),
+            )
+            shared = variance / np.maximum(whole, 1e-12)
+            means.append((seen, nearer_to_means(normals, of_places, shared)))
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
             oblique = np.flatnonzero(cosine < OBLIQUE)

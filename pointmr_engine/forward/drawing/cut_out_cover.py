@@ -30,6 +30,13 @@ def cut_out_of(cut_outs, part, triangle):
 
 
 @device
+def holes_of(cut_outs, part, triangle):
+    """`cut_out_of`, but -1 also if the triangle is as opaque all over: such have no holes."""
+    mask = cut_out_of(cut_outs, part, triangle)
+    return np.int64(-1) if mask >= 0 and cut_outs.even[mask] else mask
+
+
+@device
 def cell_of(u, v, side):
     """(p, q): the cell of barycentric weights u, v of vertices 1 and 2."""
     p = min(max(np.int64(u * side), np.int64(0)), side - 1)
@@ -150,7 +157,7 @@ def move_to_opaque(cut_outs, fragments, first, count):
     """
     cells = cut_outs.cells
     for k in range(first, first + count):
-        mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
+        mask = holes_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
         if mask < 0:
             continue
         start, side = np.int64(cut_outs.start[mask]), np.int64(cut_outs.side[mask])
@@ -178,8 +185,7 @@ def with_holes(cut_outs, fragments, first, count, out):
     """Write those of the fragments first..first + count that are of triangles with holes to out (count,); how many."""
     n = np.int64(0)
     for k in range(first, first + count):
-        mask = cut_out_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
-        if mask >= 0 and not cut_outs.even[mask]:
+        if holes_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k])) >= 0:
             out[n] = k
             n += 1
     return n
