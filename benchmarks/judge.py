@@ -18,7 +18,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from benchmarks import pictures, report, sources
-from benchmarks.methods import Method, parse_methods, read_exr
+from benchmarks.methods import Method, add_bounces, bounces, parse_methods, read_exr
 from benchmarks.metrics import deviation
 from benchmarks.processes import Worker, WorkerError
 from benchmarks.reference import reference
@@ -85,7 +85,7 @@ def judge(name: str, methods: list[Method], options) -> dict:
     """Measure one scene; writes its pictures and plot, and returns its result: JSON-able, with one row a method."""
     source = sources.find(name)
     size = options.size or source.size
-    overrides = {"max_bounces": options.max_bounces} if options.max_bounces is not None else {}
+    overrides = bounces(options)
     out = Path(options.out)
     cache = Path(options.cache)
     truth = reference(source, size, options.reference_samples, options.threads, cache, overrides)
@@ -132,7 +132,7 @@ def arguments(argv: list[str] | None = None):
     )
     parser.add_argument("--size", type=size_of, help="WIDTHxHEIGHT; each scene's own if not given")
     parser.add_argument("--reference-samples", type=int, default=1024)
-    parser.add_argument("--max-bounces", type=int)
+    add_bounces(parser)
     parser.add_argument("--runs", type=int, default=3, help="timed renders, after one to warm up")
     parser.add_argument("--threads", type=int, default=0, help="0: one per core")
     parser.add_argument("--out", default="out/judge")

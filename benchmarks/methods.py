@@ -85,6 +85,18 @@ CYCLES_ONLY = {
 }
 
 
+def add_bounces(parser) -> None:
+    """The options `--max-bounces` and `--diffuse-bounces` of a command; see `bounces`."""
+    parser.add_argument("--max-bounces", type=int)
+    parser.add_argument("--diffuse-bounces", type=int, help="0 if not given: direct light alone")
+
+
+def bounces(options) -> dict:
+    """Overrides of the settings by what `add_bounces` has read."""
+    given = {"max_bounces": options.max_bounces, "diffuse_bounces": options.diffuse_bounces}
+    return {name: value for name, value in given.items() if value is not None}
+
+
 def configure(scene, method: Method, seed: int, size, overrides: dict, threads: int) -> list[str]:
     """Set a bpy scene up for one render; returns the shared settings that the renderer has no property for.
 

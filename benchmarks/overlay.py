@@ -22,7 +22,7 @@ from pathlib import Path
 
 from benchmarks import pictures, sources
 from benchmarks.judge import FIRST_SEED
-from benchmarks.methods import Method, read_exr
+from benchmarks.methods import Method, add_bounces, bounces, read_exr
 from benchmarks.metrics import deviation
 from benchmarks.processes import Worker, WorkerError
 from benchmarks.reference import reference
@@ -65,14 +65,15 @@ def lay_over(name: str, options, keepers: dict[str, Keeper]) -> dict:
         if not small:
             cycles.close()  # so that a big scene's memory goes with its process
         truth = reference(
-            source, size, reference_samples, options.threads, Path(options.cache), worker=LazyWorker(cycles)
-        )
+            source, size, reference_samples, options.threads, Path(options.cache), bounces(options),
+            LazyWorker(cycles),
+        )  # fmt: skip
         method = Method(options.method, options.samples if small else options.real_samples)
         keeper = keepers["method"]
         if not small:
             keeper.close()
         worker = keeper.get()
-        worker.load(source.argument, method, size, options.threads)
+        worker.load(source.argument, method, size, options.threads, bounces(options))
         images, answers = [], []
         folder = out / "renders"
         folder.mkdir(parents=True, exist_ok=True)
@@ -154,9 +155,10 @@ Standard view. A feature scene passes below relMSE {MAX_REL_MSE} and FLIP {MAX_F
 bias may be below {MAX_REL_MSE} and FLIP is below {MAX_FLIP["random"]}, a real scene below FLIP {MAX_FLIP["real"]}."""
 
 
-def page(method: str) -> str:
-    """Name of the page, and of its pictures, of a method."""
-    return "overlay" if method == "distributed" else f"overlay-{method}"
+def page(options) -> str:
+    """Name of the page, and of its pictures, of a method: another one where diffuse light bounces."""
+    method = "" if options.method == "distributed" else f"-{options.method}"
+    return f"overlay{method}{'-bounces' if options.diffuse_bounces else ''}"
 
 
 def document(records: list[dict], command: str, options) -> str:
@@ -180,7 +182,7 @@ def document(records: list[dict], command: str, options) -> str:
         if kinds[kind]:
             passed = sum(r["passed"] for r in kinds[kind])
             lines += ["", f"## {title}: {passed} of {len(kinds[kind])} pass", "", table(kinds[kind])]
-            lines += ["", f"![{title}]({page(options.method)}-{kind}.png)"]
+            lines += ["", f"![{title}]({page(options)}-{kind}.png)"]
     return "\n".join(lines) + "\n"
 
 
@@ -206,6 +208,7 @@ def arguments(argv: list[str] | None = None):
     parser.add_argument("--reference-samples", type=int, default=1024)
     parser.add_argument("--real-reference-samples", type=int, default=512)
     parser.add_argument("--size", type=lambda t: tuple(int(v) for v in t.split("x")))
+    add_bounces(parser)
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--out", default="out/overlay")
     parser.add_argument("--cache", default="out/references")
@@ -231,9 +234,9 @@ def main(argv: list[str] | None = None) -> int:
     text = document(records, typed, options)
     folder = out if options.no_write else Path(options.docs)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{page(options.method)}.md").write_text(text)
+    (folder / f"{page(options)}.md").write_text(text)
     (out / "overlay.json").write_text(json.dumps({"command": typed, "records": records}, indent=1))
-    contact_sheets(records, folder, page(options.method))
+    contact_sheets(records, folder, page(options))
     failed = [r["scene"] for r in records if not r["passed"]]
     print(
         f"{len(records) - len(failed)} of {len(records)} pass"

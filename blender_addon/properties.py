@@ -96,6 +96,13 @@ class PointMRSceneSettings(RaytraceProperties, ForwardProperties, bpy.types.Prop
         max=1024,
         default=12,
     )
+    diffuse_bounces: IntProperty(
+        name="Diffuse Bounces",
+        description="Maximum number of diffuse reflection bounces, bounded by total maximum. None: direct light alone",
+        min=0,
+        max=1024,
+        default=0,
+    )
     glossy_bounces: IntProperty(
         name="Glossy Bounces",
         description="Maximum number of glossy reflection bounces, bounded by total maximum",

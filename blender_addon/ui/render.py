@@ -78,6 +78,7 @@ class POINTMR_RENDER_PT_light_paths_max_bounces(PointMRPanel, Panel):
         layout = split_layout(self)
         layout.column(align=True).prop(settings, "max_bounces", text="Total")
         col = layout.column(align=True)
+        col.prop(settings, "diffuse_bounces", text="Diffuse")
         col.prop(settings, "glossy_bounces", text="Glossy")
         col.prop(settings, "transmission_bounces", text="Transmission")
         layout.column(align=True).prop(settings, "transparent_max_bounces", text="Transparent")

@@ -66,6 +66,7 @@ class ConeLight:
         self.shares_refractions = (
             self.shares_lobes and stage.limits.transmission > 0 and refracts(sampler.programs)
         )
+        self.shares_bounces = min(stage.limits.diffuse, stage.limits.bounces) > 0
         # a mirror never shows a lamp that is a point
         self.points = not bool(arrays.lamps.mis.all())
         self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and not self.points
@@ -79,7 +80,7 @@ class ConeLight:
     @property
     def shares(self) -> bool:
         """Whether fragments hear what their neighbours receive."""
-        return self.shares_world or self.shares_lamps or self.shares_lobes
+        return self.shares_world or self.shares_lamps or self.shares_lobes or self.shares_bounces
 
     def prefiltered(self) -> tuple:
         """What cones walk: surfaces that let no light through, and all surfaces; made when the first cone asks."""

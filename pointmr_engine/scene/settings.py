@@ -134,7 +134,7 @@ class RenderSettings:
     pixel_filter: str = "blackman_harris"
     filter_width: float = 1.5
     max_bounces: int = 12
-    diffuse_bounces: int = 0  # further diffuse bounces are not built yet: only 0 is accepted
+    diffuse_bounces: int = 0  # 0: direct light alone on diffuse surfaces
     glossy_bounces: int = 4
     transmission_bounces: int = 12
     transparent_max_bounces: int = 8

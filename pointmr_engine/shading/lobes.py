@@ -317,6 +317,24 @@ def evaluate(lobes, i, wi, wo):
     return _sum(lobes, i, wi, wo, np.int64(-1))
 
 
+@device
+def diffuse_direction(lobes, i, j, u1, u2):
+    """A direction of the diffuse lobe j of point i, as `sample` draws it; a translucent one's lies behind."""
+    base = lobes.kind[i, j] & KIND_MASK
+    normal = normalized(load3(lobes.data, i, j, NORMAL), row3(lobes.geometric_normal, i))
+    if base == TRANSLUCENT:
+        return cosine_hemisphere((-normal[0], -normal[1], -normal[2]), u1, u2)
+    if base == SHEEN:
+        a = np.float64(lobes.data[i, j, ALPHA_X])
+        b = np.float64(lobes.data[i, j, ALPHA_Y])
+        x = load3(lobes.data, i, j, TANGENT)
+        local = sheen.sample(a, b, u1, u2)
+        return to_world(local[0], local[1], local[2], x, cross(normal, x), normal)
+    if base == VELVET:
+        return velvet.sample(normal, u1, u2)
+    return cosine_hemisphere(normal, u1, u2)
+
+
 @uncounted
 def sample(lobes, i, wi, u_choose, u1, u2):
     """Choose a lobe of point i and a direction -> (wo, value rgb, pdf, label, alpha, eta).
@@ -361,21 +379,9 @@ def sample(lobes, i, wi, u_choose, u1, u2):
     alpha = 1.0
     eta = 1.0
     if base <= TRANSLUCENT:
-        normal = normalized(load3(lobes.data, i, chosen, NORMAL), ng)
         label = LABEL_DIFFUSE
-        if base == TRANSLUCENT:
-            refracted = True
-            wo = cosine_hemisphere((-normal[0], -normal[1], -normal[2]), u1, u2)
-        elif base == SHEEN:
-            a = np.float64(lobes.data[i, chosen, ALPHA_X])
-            b = np.float64(lobes.data[i, chosen, ALPHA_Y])
-            x = load3(lobes.data, i, chosen, TANGENT)
-            local = sheen.sample(a, b, u1, u2)
-            wo = to_world(local[0], local[1], local[2], x, cross(normal, x), normal)
-        elif base == VELVET:
-            wo = velvet.sample(normal, u1, u2)
-        else:
-            wo = cosine_hemisphere(normal, u1, u2)
+        refracted = base == TRANSLUCENT
+        wo = diffuse_direction(lobes, i, np.int64(chosen), u1, u2)
     else:
         label = LABEL_GLOSSY
         alpha = math.sqrt(

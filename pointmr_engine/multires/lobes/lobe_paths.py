@@ -10,6 +10,7 @@ from pointmr_engine.multires.cones.cones import jitter, set_axes
 from pointmr_engine.multires.cones.lamp_cones import NEAR
 from pointmr_engine.multires.lobes.lobe_view import WITHIN_LOBE
 from pointmr_engine.numerics.jit import device
+from pointmr_engine.numerics.rng import sample_2d
 from pointmr_engine.raytracing.path_arrays import (
     BACKDROP,
     FINAL,
@@ -20,28 +21,54 @@ from pointmr_engine.raytracing.path_arrays import (
     copy_path,
     copy_ray,
 )
-from pointmr_engine.scene.group import GLOSSY, TRANSMISSION
+from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 
 # Paths.bsdf_pdf of rays whose lights have been sampled: what no sample can find counts in full, all else not at all
 BY_SAMPLES = 1e-9
 WIDEST = 3.0  # tangent of a cone's half angle at most
+LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
+
+
+@device
+def lobe_place(tables, samples, slot, bounce, k, j):
+    """Two random numbers for lobe j of point k: at first surfaces the fragments of a pixel share them out."""
+    seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
+    return sample_2d(tables, seed, np.uint32(LOBE_PLACES + 16 * bounce + (j & 15)), samples.number[slot])
+
+
+@device
+def survives(out, m, chance, weak):
+    """Whether row m of paths goes on, by a random number, where its throughput is below `weak`; it is then that."""
+    t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
+    if t >= weak:
+        return True
+    if chance * weak >= t:
+        return False
+    for c in range(3):
+        out.throughput[m, c] *= weak / t
+    return True
 
 
 @device
 def go_on(
     paths, k, out, m, hits, frames, normal, flags, limits, r, g, b, dx, dy, dz, kind, glossy, transmission
 ):
-    """Row m of `out` becomes the path k after one more bounce, with throughput (r, g, b)."""
+    """Row m of `out` becomes the path k after one more bounce, with throughput (r, g, b).
+
+    kind: RAY_*; glossy, transmission: 1 of what counts as that, as a diffuse bounce what counts as neither.
+    """
     a, s = paths.state, out.state
+    diffuse = np.int64(1) - glossy - transmission
     path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS | NO_LAMPS)
     s.depth[m] = a.depth[k] + 1
-    s.diffuse_depth[m] = a.diffuse_depth[k]
+    s.diffuse_depth[m] = a.diffuse_depth[k] + diffuse
     s.glossy_depth[m] = a.glossy_depth[k] + glossy
     s.transmission_depth[m] = a.transmission_depth[k] + transmission
     s.transparent_depth[m] = a.transparent_depth[k]
     if (
         s.depth[m] > limits.bounces
+        or s.diffuse_depth[m] > limits.diffuse
         or s.glossy_depth[m] > limits.glossy
         or s.transmission_depth[m] > limits.transmission
     ):
@@ -59,7 +86,7 @@ def go_on(
     out.rays.direction[m, 0], out.rays.direction[m, 1], out.rays.direction[m, 2] = dx, dy, dz
     out.rays.t_min[m] = frames.offset[k]
     out.rays.t_max[m] = math.inf
-    out.rays.visibility[m] = TRANSMISSION if transmission else GLOSSY
+    out.rays.visibility[m] = TRANSMISSION if transmission else DIFFUSE if diffuse else GLOSSY
     out.rays.skip_triangle[m] = hits.triangle[k]
     out.rays.skip_path[m] = hits.path[k]
     s.width[m] = a.width[k] + a.spread[k] * hits.t[k]

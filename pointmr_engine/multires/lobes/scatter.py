@@ -13,14 +13,16 @@ import numpy as np
 
 from pointmr_engine.forward.shading.lobe_light import towards_normal
 from pointmr_engine.multires.lobes.curved_mirrors import open_curved, own_variance
+from pointmr_engine.multires.lobes.diffuse_rays import may_bounce, scatter_diffuse
 from pointmr_engine.multires.lobes.lobe_paths import (
-    BY_SAMPLES,
     WIDEST,
     go_on,
+    lobe_place,
     no_cone,
     open_cone,
     pass_through,
     send_ray,
+    survives,
 )
 from pointmr_engine.multires.lobes.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobes.lobe_shares import mean_roughness
@@ -36,7 +38,7 @@ from pointmr_engine.multires.lobes.lobe_view import (
 from pointmr_engine.multires.lobes.mirror_chains import blur_lamps, blurs_lamps, grow
 from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted
-from pointmr_engine.numerics.rng import R2, sample_1d, sample_2d
+from pointmr_engine.numerics.rng import R2, sample_1d
 from pointmr_engine.raytracing.path_arrays import LAST, NO_LAMPS, SEES_LAMPS
 from pointmr_engine.shading.bsdf.layout import (
     ASHIKHMIN_SHIRLEY,
@@ -49,11 +51,9 @@ from pointmr_engine.shading.bsdf.layout import (
     SINGULAR_ALPHA_SQUARED,
     SINGULAR_LOBE,
     TRANSLUCENT,
-    WEIGHT,
 )
-from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, row3
+from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 from pointmr_engine.shading.points import (
-    RAY_DIFFUSE,
     RAY_GLOSSY,
     RAY_MIRRORED,
     RAY_REFLECTION,
@@ -69,10 +69,7 @@ SPLIT = 0.4  # throughput of a first surface's lobes together from which each of
 CLEAR = 0.25  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 SHARP = 0.3  # roughness below which they are mirrors and clear glass: where a first one bends, what is behind is wider
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
-WEAK_CLEAR = 0.12  # ... and of what goes straight on behind a first surface, for leaves are much alike ...
-WEAK_THROUGH = 0.5  # ... and of what passes leaves, behind which lights have been sampled
-THROUGH_ROUGH = 0.4  # of what passes leaves: what its rays stand for, as if it were this rough a lobe
-LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
+WEAK_CLEAR = 0.12  # ... and of what goes straight on behind a first surface, for leaves are much alike
 
 
 @device
@@ -102,26 +99,6 @@ def _branch(chosen, weight, before, target, total):
             return total / weight
         return 0.0
     return 1.0
-
-
-@device
-def _survives(out, m, chance, weak):
-    """Whether row m of paths goes on, by a random number, where its throughput is below `weak`; it is then that."""
-    t = np.float64(max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2]))
-    if t >= weak:
-        return True
-    if chance * weak >= t:
-        return False
-    for c in range(3):
-        out.throughput[m, c] *= weak / t
-    return True
-
-
-@device
-def _place(tables, samples, slot, bounce, k, j):
-    """Two random numbers for lobe j of point k: at first surfaces the fragments of a pixel share them out."""
-    seed = samples.seed[slot] if bounce == 0 else np.uint32(samples.seed[slot] ^ np.uint32(k))
-    return sample_2d(tables, seed, np.uint32(LOBE_PLACES + 16 * bounce + (j & 15)), samples.number[slot])
 
 
 @uncounted
@@ -166,17 +143,14 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             passed[0, j, 0], passed[0, j, 1], passed[0, j, 2] = r
             passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
         slot = paths.slot[k]
-        for j in range(np.int64(lobes.count[k])):
-            if lobes.kind[k, j] & KIND_MASK == TRANSLUCENT and m + 1 + n - k <= room:
-                m = _through(
-                    paths, samples, np.int64(k), np.int64(j), hits, frames, lobes, limits, tables, bounce, out, m,
-                    record,
-                )  # fmt: skip
+        m = scatter_diffuse(
+            paths, samples, np.int64(k), hits, frames, lobes, limits, tables, bounce, wi, room - (n - k), out, m, record
+        )  # fmt: skip
         if not total > 0.0:
             continue
         divides = bounce == 0 or (_largest(t) >= CLEAR and _all_clear(lobes, np.int64(k)))
         chosen = total < SPLIT or crowded or not divides
-        glints = _largest(t) < glinting
+        glints = _largest(t) < glinting or paths.state.diffuse_depth[k] > 0
         sampled = bounce > 0 and lobes.flags[k] & HAS_EVALUATION != 0
         strong = STRONG if bounce == 0 else 1.0
         target = chance = 0.0
@@ -208,7 +182,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 integrated[k, j] = (
                     bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
                 )
-                u, v = _place(tables, samples, slot, bounce, k, j)
+                u, v = lobe_place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(r), small[k]) if ray and bounce == 0 and not crowded else 1
                 r, f = (r[0] / times, r[1] / times, r[2] / times), f / times
                 for _ in range(times):
@@ -228,7 +202,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(g)
             if f > 0.0:
                 g = (g[0] * f, g[1] * f, g[2] * f)
-                u, v = _place(tables, samples, slot, bounce, k, j)
+                u, v = lobe_place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(g), small[k]) if ray and bounce == 0 and not crowded else 1
                 g, f = (g[0] / times, g[1] / times, g[2] / times), f / times
                 for _ in range(times):
@@ -239,7 +213,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
             if blurs_lamps(lobes.kind[k, j], rough, np.float64(chaos[k])):
                 blur_lamps(out, record, begin, m, np.float64(chaos[k]))
-        if chosen and m == first + 1 and not _survives(out, first, chance, weak):
+        if chosen and m == first + 1 and not survives(out, first, chance, weak):
             m = first
     return m
 
@@ -274,9 +248,10 @@ def _reflect(
             if glints:
                 out.flags[m] |= SEES_LAMPS
             out.bsdf_pdf[m] = lobe_pdf(rough * rough, nm, wi, wo)
-            record.behind[m, 0], record.behind[m, 1], record.behind[m, 2] = behind_glossy(
-                lobes, k, j, wi, wo, weight, density, side
-            )
+            if not may_bounce(paths, limits, k):
+                record.behind[m, 0], record.behind[m, 1], record.behind[m, 2] = behind_glossy(
+                    lobes, k, j, wi, wo, weight, density, side
+                )
             m += 1
         return m
     d = (2.0 * cosine * nm[0] - wi[0], 2.0 * cosine * nm[1] - wi[1], 2.0 * cosine * nm[2] - wi[2])
@@ -335,26 +310,6 @@ def _open_cones(
             record.incoming[m, c] = d[c] if transmission else wi[c]
         m, part = m + 1, part + 1
     return m
-
-
-@device
-def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, out, m, record):
-    """The ray of a translucent lobe, if it goes on; returns the next row. Arguments as of `scatter_lobes`.
-
-    What is diffuse does not bounce but through leaves: that counts as transmission (as in Cycles). It goes on beside
-    what else does, for where one of both is chosen by chance, weak lobes beside it would stand for it, too.
-    """
-    slot, nm = paths.slot[k], load3(lobes.data, k, j, NORMAL)
-    u, v = _place(tables, samples, slot, bounce, k, j)
-    wo = cosine_hemisphere((-nm[0], -nm[1], -nm[2]), u, v)
-    if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
-        return m
-    send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
-             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, THROUGH_ROUGH)  # fmt: skip
-    out.bsdf_pdf[m] = BY_SAMPLES
-    seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
-    chance = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
-    return m + 1 if _survives(out, m, chance, WEAK_THROUGH) else m
 
 
 @device

@@ -93,7 +93,7 @@ class ConePaths(WideLamps):
     def detail(self, now, n: int, bounce: int) -> np.ndarray:
         """Less of what is weak behind a first surface, or small: its noise weighs less than means cost."""
         if bounce:
-            return np.where(now.throughput[:n].max(1) < STRONG, np.uint8(POINT), np.uint8(EVERY))
+            return np.where(self._weak(now, n), np.uint8(POINT), np.uint8(EVERY))
         return np.where(self._small(n), np.uint8(SOME), np.uint8(EVERY))
 
     def shaded(self, now, n: int, bounce: int) -> None:
@@ -130,7 +130,7 @@ class ConePaths(WideLamps):
             bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
         keep_lobes(lobes, self.alpha, self.chaos, self.integrated, np.int64(n))
         if bounce:
-            weak = alive & (now.throughput[:n].max(1) < STRONG)
+            weak = alive & self._weak(now, n)
             self.stage, self.glints, self.repeats = self.weak_stage, True, 1
             super()._direct_light(now, n, weak, bounce)
             lobes.count[:n][weak] = 0
@@ -216,6 +216,10 @@ class ConePaths(WideLamps):
             )  # fmt: skip
         return pdf
 
+    def _weak(self, now, n: int) -> np.ndarray:
+        """(n,) bool: paths behind first surfaces that are worth little; diffuse rays share what they find."""
+        return (now.throughput[:n].max(1) < STRONG) | (now.state.diffuse_depth[:n] > 0)
+
     def _small(self, n: int) -> np.ndarray:
         """(n,) bool: fragments that weigh too little for cones, and for more than half of the rays to the world."""
         return self.space.fragments.count[self.first : self.first + n] < LARGE
@@ -240,7 +244,7 @@ class ConePaths(WideLamps):
 
     def meet(self, tile, now, then, n: int, bounce: int) -> int:
         self.then = then
-        if bounce == 1 and self.light.shares_lobes:
+        if bounce == 1 and self.shared_light.sides:
             self.shared_light.count_lobe_rays(now.slot, self.hits, n)
         return super().meet(tile, now, then, n, bounce)
 
@@ -344,9 +348,9 @@ class ConePaths(WideLamps):
         maps = {
             GLOSSY: (world.glossy, world.glossy_rays), TRANSMISSION: (world.transmission, world.transmission_rays)
         }.get(bit)  # fmt: skip
-        if maps is None:
-            return self.stage.lights.world_radiance(rays.direction[rows], bit), 1.0
         weight = np.where(now.bsdf_pdf[rows] == BY_SAMPLES, 0.0, 1.0)
+        if maps is None:
+            return self.stage.lights.world_radiance(rays.direction[rows], bit), weight
         radiance = np.empty((len(rows), 3), np.float32)
         sharp = self.lobe_alpha[rows] <= 0.0
         if sharp.any():

@@ -7,7 +7,7 @@ import numpy as np
 from pointmr_engine.multires.lobes.lobe_view import WITHIN_LOBE
 from pointmr_engine.multires.paths.shadow_edges import EdgePaths
 from pointmr_engine.multires.sharing.light_sharing import OF_WORLD
-from pointmr_engine.multires.sharing.shared_light import SharedLight
+from pointmr_engine.multires.sharing.shared_light import BOUNCED, REFLECTED, REFRACTED, SharedLight
 from pointmr_engine.multires.sharing.world_rays import (
     PEER_SUMS,
     SUMS,
@@ -33,7 +33,7 @@ class SharingPaths(EdgePaths):
         self.small = None  # (n,) bool, while first surfaces are lit: too small for cones
         self.shared_light = SharedLight(light, room)
         self.asks, self.begins = None, False  # lights that first surfaces ask for now; whether rays begin
-        if light.shares_lobes:
+        if self.shared_light.sides:
             self.every = allocate_samples((1 + self.shared_light.sides) * room)
         self.peers = np.ones(room)  # cones that share what a fragment receives
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
@@ -45,14 +45,21 @@ class SharingPaths(EdgePaths):
         self.shared_light.start_tile(len(space.fragments.entry))
 
     def leave(self, then, n: int, base: int, count: int) -> None:
-        if self.light.shares_lobes:
+        if self.shared_light.sides:
             kind, within = then.state.kind[:n], self.waiting_cones().alpha[:n] == WITHIN_LOBE
-            side = within * np.where(kind & RAY_REFLECTION != 0, 1, np.where(kind & RAY_DIFFUSE == 0, 2, 0))
-            self.shared_light.separate(self.every, then.slot[:n], side, base, count)
+            diffuse = kind & RAY_DIFFUSE != 0
+            side = within * np.where(
+                kind & RAY_REFLECTION != 0,
+                np.where(diffuse, BOUNCED, REFLECTED),
+                np.where(diffuse, 0, REFRACTED),
+            )
+            self.shared_light.separate(
+                self.every, then.slot[:n], side, then.rays.direction[:n], self.first, base, count
+            )
 
     def receive(self, first: int, base: int, count: int) -> None:
         super().receive(first, base, count)
-        if self.light.shares_lobes:
+        if self.shared_light.sides:
             self.shared_light.take_lobes(self.every, first, base, count)
 
     def _look_at_light(self, now, m: int, turn) -> None:

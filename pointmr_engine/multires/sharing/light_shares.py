@@ -13,8 +13,6 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
-# of the way against the distance of what a lobe's rays met: how much of what it sees changes
-MOVE_OF_LOBE = 0.25
 # cosine: how light changes is told of lower rays as if they came from there, lest one of them outweighs all others
 GRAZING = 0.1
 
@@ -105,14 +103,14 @@ def begin_shares(lobes, throughput, position, width, first, count, shares):
 def count_lobe_rays(slot, triangle, t, closest, count, base, rays, near):
     """What rays of lobes met first, by their slots: paths 0..count of slots from `base` on, at t.
 
-    closest (N,) float32: see `count_near`; rays, near (N,) float32.
+    closest (N,) float32: see `count_near`; rays, near (N,) float32: their number, and the sum of 1 / metres.
     """
     for i in range(count):
         k = np.int64(slot[i]) - base
         if k >= 0:
             rays[k] += np.float32(1)
             if triangle[i] != -1:
-                near[k] += np.float32(MOVE_OF_LOBE / max(t[i], closest[k]))
+                near[k] += np.float32(1.0 / max(t[i], closest[k]))
 
 
 @uncounted
@@ -185,6 +183,24 @@ def take_turns(light, direction, source, triangle, count, first, shares):
                 arrived += light[i, c] / np.float64(shares.albedo[row, c])
         for c in range(3):
             shares.turned[row, c] += np.float32(arrived / max(cosine, GRAZING) * direction[i, c])
+
+
+@uncounted
+def take_bounced(radiance, direction, first, count, shares):
+    """What `count` rays have found, one of each of the fragments from `first` on, is shared by these.
+
+    radiance, direction (N, 3) float64. How it changes with their normals is told, too: see `take_turns`.
+    """
+    for k in range(count):
+        row = first + k
+        cosine, arrived = 0.0, 0.0
+        for c in range(3):
+            cosine += np.float64(shares.normal[row, c]) * direction[k, c]
+            shares.light[row, c] += np.float32(radiance[k, c])
+            if shares.albedo[row, c] > DIM:
+                arrived += radiance[k, c] / np.float64(shares.albedo[row, c])
+        for c in range(3):
+            shares.turned[row, c] += np.float32(arrived / max(cosine, GRAZING) * direction[k, c])
 
 
 @device

@@ -1,5 +1,6 @@
-"""What a thread's fragments receive together: light of the world, of lamps that rays ask for, and what rays in rough
-lobes find. Each kind is gathered by itself, for each changes along a surface in its own way (light_sharing).
+"""What a thread's fragments receive together: light of the world, of lamps that rays ask for, what rays in rough
+lobes find, and what surfaces send each other. Each kind is gathered by itself, for each changes along a surface in its
+own way (light_sharing).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pointmr_engine.multires.sharing.light_shares import (
     count_lobe_rays,
     count_near,
     keep_own,
+    take_bounced,
     take_light,
     take_reflected,
     take_turns,
@@ -32,14 +34,18 @@ CLOSEST = 0.5  # widths of a cone: how near things may be for what they do to li
 # angle from which light of the world counts as coming: what a small sun lights besides its sky is to be shared, too
 NARROWEST = 0.1
 POINT_WIDTH = 0.01  # of light from one direction: nothing is as sharp as it in an image
+# of the way against the distance of what a lobe's rays met: how much of what it sees changes
+MOVE_OF_LOBE = 0.25
+# what lets fragments share what a path's first ray finds: it was sent by a lobe that ...
+REFLECTED, REFRACTED, BOUNCED = 1, 2, 3  # ... 3: is diffuse
 
 
 class SharedLight:
     """One thread's shares. Rows are the tile's fragments; a batch is its fragments first..first + n.
 
-    world, lamps, lobes, refractions: Shares, empty where there is nothing of the kind. `room`: samples of fragments
-    under way at once; rays that lobes share bring their light to samples of their own, `room` rows behind those of
-    their fragments, and those of lobes that refract as many rows behind these.
+    world, lamps, lobes, refractions, bounces: Shares, empty where there is nothing of the kind. `room`: samples of
+    fragments under way at once; rays that are shared bring their light to samples of their own, `room` rows behind
+    those of their fragments, each further side as many rows behind these.
     """
 
     def __init__(self, light, room: int):
@@ -47,9 +53,15 @@ class SharedLight:
             light.shares_world, light.shares_lamps, light.shares_lobes
         )  # fmt: skip
         self.has_refractions = self.has_lobes and light.shares_refractions
-        self.room, self.sides = room, int(self.has_lobes) + int(self.has_refractions)
-        self.world = self.lamps = self.lobes = self.refractions = allocate_shares(0)
+        self.has_bounces = light.shares_bounces
+        has = {REFLECTED: self.has_lobes, REFRACTED: self.has_refractions, BOUNCED: self.has_bounces}
+        sides = [side for side in has if has[side]]
+        # row of a side's samples, in rooms: 0 is that of what is not shared
+        self.row_of = np.array([0] + [sides.index(s) + 1 if s in sides else 0 for s in has], np.int32)
+        self.room, self.sides, self.fragments = room, len(sides), 0
+        self.world = self.lamps = self.lobes = self.refractions = self.bounces = allocate_shares(0)
         self.lobe_rays, self.lobe_near = np.zeros((2, self.sides * room), np.float32)
+        self.towards = np.zeros((room if self.has_bounces else 0, 3))  # rays of diffuse lobes
         self.own = np.zeros((room if self.has_world else 0, 3))  # of the world's light, what is not shared
         self.lamp_width = np.ones(room)
         self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(self.sides * room, np.float32)
@@ -58,8 +70,9 @@ class SharedLight:
 
     def start_tile(self, fragments: int) -> None:
         """Room for the fragments of a tile."""
-        if fragments == max(len(self.world.rays), len(self.lamps.rays), len(self.lobes.rays)):
+        if fragments == self.fragments:
             return
+        self.fragments = fragments
         if self.has_world:
             self.world = allocate_shares(fragments)
         if self.has_lamps:
@@ -68,10 +81,12 @@ class SharedLight:
             self.lobes = allocate_shares(fragments)
         if self.has_refractions:
             self.refractions = allocate_shares(fragments)
+        if self.has_bounces:
+            self.bounces = allocate_shares(fragments)
 
     def begin(self, lobes, throughput, position, first: int, n: int) -> None:
-        """The fragments of a batch have received nothing of the world and of lamps. Lobes begin as they scatter."""
-        for shares, width in ((self.world, self.world_width), (self.lamps, 1.0)):
+        """The fragments of a batch have received nothing but by lobes that begin as they scatter."""
+        for shares, width in ((self.world, self.world_width), (self.lamps, 1.0), (self.bounces, 1.0)):
             if len(shares.rays):
                 begin_shares(lobes, throughput, position, width, np.int64(first), np.int64(n), shares)
 
@@ -153,12 +168,22 @@ class SharedLight:
             if len(shares.rays):
                 shares.light[own] *= part[:, None].astype(np.float32)
 
-    def separate(self, samples, slots: np.ndarray, side: np.ndarray, base: int, count: int) -> None:
+    def separate(
+        self, samples, slots: np.ndarray, side: np.ndarray, direction, first: int, base: int, count: int
+    ) -> None:
         """Paths with slots (n,) that are shared get samples of their own, copies of base..base + count.
 
-        side (n,) int: 0 of those that are not, 1 of lobes that reflect, 2 of those that refract.
+        side (n,) int: REFLECTED, ..., or 0 of those that are not; direction (n, 3): of their rays. Bounces are not of
+        fragments that share none; theirs begin with `first`.
         """
         own = slice(base, base + count)
+        if self.has_bounces:
+            bounced = np.flatnonzero(side == BOUNCED)
+            at = slots[bounced]
+            shares = self.bounces.albedo[first + at - base].max(1) > 0.0
+            side[bounced[~shares]] = 0
+            self.towards[own] = 0.0
+            self.towards[at] = direction[bounced]
         for k in range(self.sides):
             rays, copies = (slice(k * self.room + base, k * self.room + base + count) for k in (k, k + 1))
             for column in samples:
@@ -166,7 +191,7 @@ class SharedLight:
             samples.radiance[copies] = 0.0
             self.lobe_closest[rays] = self.closest[:count]
             self.lobe_rays[rays] = self.lobe_near[rays] = 0.0
-        slots += self.room * np.where(side <= self.sides, side, 0).astype(slots.dtype)
+        slots += (self.room * self.row_of[side]).astype(slots.dtype)
 
     def count_lobe_rays(self, slots, hits, n: int) -> None:
         """Note what paths 0..n with samples of their own met first."""
@@ -178,12 +203,22 @@ class SharedLight:
     def take_lobes(self, samples, first: int, base: int, count: int) -> None:
         """What the rays of fragments first..first + count have found is shared; their samples begin at `base`."""
         to = slice(first, first + count)
-        for k, shares in enumerate((self.lobes, self.refractions)[: self.sides]):
-            begin = k * self.room + base
+        for side, shares, move in (
+            (REFLECTED, self.lobes, MOVE_OF_LOBE), (REFRACTED, self.refractions, MOVE_OF_LOBE),
+            (BOUNCED, self.bounces, 1.0),
+        ):  # fmt: skip
+            if not len(shares.rays):
+                continue
+            begin = (self.row_of[side] - 1) * self.room + base
             own = slice(begin, begin + count)
-            shares.light[to] += samples.radiance[self.room + begin : self.room + begin + count]
+            found = samples.radiance[self.room + begin : self.room + begin + count]
+            if side == BOUNCED:
+                towards = self.towards[base : base + count]
+                take_bounced(found, towards, np.int64(first), np.int64(count), shares)
+            else:
+                shares.light[to] += found
             shares.rays[to] += self.lobe_rays[own]
-            shares.nearness[to] += self.lobe_near[own]
+            shares.nearness[to] += np.float32(move) * self.lobe_near[own]
 
     def give(self, space, count: int) -> None:
         """Add what the tile's fragments 0..count receive together to space.light."""
@@ -191,7 +226,8 @@ class SharedLight:
         side = image.subpixels // image.cone
         shape = tuple(side * n for n in space.used.shape)
         for change, shares in (
-            (OF_WORLD, self.world), (OF_LAMPS, self.lamps), (OF_LOBE, self.lobes), (OF_REFRACTION, self.refractions)
+            (OF_WORLD, self.world), (OF_LAMPS, self.lamps), (OF_LOBE, self.lobes), (OF_REFRACTION, self.refractions),
+            (OF_WORLD, self.bounces),
         ):  # fmt: skip
             if len(shares.rays):
                 eye = image.camera.world_from_camera[:, 3]
