@@ -16,7 +16,7 @@ from pointmr_engine.forward.method import Image
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.cones.opacity_micromap import with_micromap
 from pointmr_engine.multires.paths.cone_paths import ConePaths
-from pointmr_engine.multires.paths.fragment_paths import BATCH, FragmentPaths
+from pointmr_engine.multires.paths.fragment_paths import FragmentPaths
 from pointmr_engine.multires.sharing.light_sharing import REACH
 from pointmr_engine.multires.tiles import CELL, TracedTiles
 from pointmr_engine.raytracing.integrator import Stage
@@ -109,8 +109,8 @@ class TracedShading:
         """Fill space.light[:count]; see forward.shading.materials.FullShading."""
         paths, values = self.paths(space), space.placement_values(hierarchy)
         paths.start_tile(space, count)
-        for first in range(0, count, BATCH):
-            paths.trace(hierarchy, values, first, min(BATCH, count - first))
+        for first in range(0, count, paths.batch):
+            paths.trace(hierarchy, values, first, min(paths.batch, count - first))
         paths.finish_tile(count)
         space.lend(count)
 

@@ -9,14 +9,18 @@ import numpy as np
 
 from pointmr_engine.multires.lobes.lobe_paths import BY_SAMPLES, lobe_place, send_ray, survives
 from pointmr_engine.numerics.jit import device
-from pointmr_engine.numerics.rng import sample_1d
+from pointmr_engine.numerics.rng import R2, sample_1d
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, row3
 from pointmr_engine.shading.lobes import diffuse_direction, value_of
 from pointmr_engine.shading.points import RAY_DIFFUSE, RAY_REFLECTION, RAY_TRANSMISSION
 
-WEAK_DIFFUSE = 0.5  # throughputs below it go on by chance, for lights have been sampled
-DIFFUSE_ROUGH = 0.4  # what the rays stand for, as if they were of a lobe this rough
+# throughputs below it go on by chance, for lights have been sampled: of first surfaces, and of what came so far behind
+WEAK_DIFFUSE, WEAK_BEHIND = 0.5, 0.5
+# rays of a cone that sees one surface, at one cone a pixel; its fragments have their shares of them, up to MOST
+DIFFUSE_RAYS, MOST = 16.0, 4
+# what the rays stand for, as if they were of a lobe this rough: of what passes leaves, and of what bounces
+THROUGH_ROUGH, BOUNCE_ROUGH = 0.4, 0.2
 
 
 @device
@@ -27,9 +31,11 @@ def may_bounce(paths, limits, k):
 
 @device
 def scatter_diffuse(
-    paths, samples, k, hits, frames, lobes, limits, tables, bounce, wi, room, out, m, record
+    paths, samples, k, hits, frames, lobes, limits, tables, bounce, wi, wanted, room, out, m, record
 ):  # fmt: skip
     """The rays of point k's diffuse lobes, while there is `room`; returns the next row.
+
+    wanted: rays of each that reflects; less than 1: by chance.
 
     They go on beside what else does, for where one of both is chosen by chance, weak lobes beside them would stand for
     them, too. Matt lobes send one together, which fragments share (light_shares.begin_shares); others as of
@@ -46,20 +52,27 @@ def scatter_diffuse(
             )
         elif bounces and not (matt and base <= OREN_NAYAR):
             matt = matt or base <= OREN_NAYAR
-            m = _reflect(
-                paths, samples, k, np.int64(j), base <= OREN_NAYAR, hits, frames, lobes, limits, tables, bounce, wi,
-                out, m, record,
-            )  # fmt: skip
+            u, v = lobe_place(tables, samples, paths.slot[k], bounce, k, j)
+            times = min(max(np.int64(wanted), np.int64(1)), np.int64(MOST), room - m)
+            for _ in range(times):
+                m = _reflect(
+                    paths, samples, k, np.int64(j), base <= OREN_NAYAR, 1.0 / times, wanted, u, v, hits, frames, lobes,
+                    limits, tables, bounce, wi, out, m, record,
+                )  # fmt: skip
+                u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
     return m
 
 
 @device
-def _goes_on(samples, tables, bounce, out, m, k, slot, dimension):
-    """Whether row m, a ray of point k's diffuse lobe, goes on. What shines is none of its own."""
+def _goes_on(paths, samples, tables, bounce, part, wanted, out, m, k, slot):
+    """Whether row m, which is a part of the rays of point k's diffuse lobe, goes on. What shines is none of its own."""
     out.bsdf_pdf[m] = BY_SAMPLES
-    seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
-    chance = sample_1d(tables, seed, np.uint32(64 * bounce + dimension), samples.number[slot])
-    return survives(out, m, chance, WEAK_DIFFUSE)
+    seed = np.uint32(samples.seed[slot] ^ np.uint32(k) ^ np.uint32(m << 8))
+    chance = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
+    t = paths.throughput[k]
+    weak = WEAK_DIFFUSE if bounce == 0 else WEAK_BEHIND * max(t[0], t[1], t[2])
+    largest = max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2])
+    return survives(out, m, chance, max(weak * part, largest / min(wanted, 1.0)))
 
 
 @device
@@ -71,15 +84,19 @@ def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, 
     if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
         return m
     send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
-             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, DIFFUSE_ROUGH)  # fmt: skip
-    return m + 1 if _goes_on(samples, tables, bounce, out, m, k, slot, 11) else m
+             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, THROUGH_ROUGH)  # fmt: skip
+    return m + 1 if _goes_on(paths, samples, tables, bounce, 1.0, 1.0, out, m, k, slot) else m
 
 
 @device
-def _reflect(paths, samples, k, j, matt, hits, frames, lobes, limits, tables, bounce, wi, out, m, record):
-    """The ray of diffuse lobe j, or of all matt lobes of which it is the first, if it goes on."""
+def _reflect(
+    paths, samples, k, j, matt, part, wanted, u, v, hits, frames, lobes, limits, tables, bounce, wi, out, m, record
+):  # fmt: skip
+    """The ray of diffuse lobe j, or of all matt lobes of which it is the first, if it goes on; `part` of their light.
+
+    wanted: as of `scatter_diffuse`; u, v: random numbers.
+    """
     slot = paths.slot[k]
-    u, v = lobe_place(tables, samples, slot, bounce, k, j)
     chosen, total = j, np.float64(0)
     if matt:
         for i in range(j, np.int64(lobes.count[k])):
@@ -106,9 +123,9 @@ def _reflect(paths, samples, k, j, matt, hits, frames, lobes, limits, tables, bo
     if not density > 0.0:
         return m
     w = (r / density, g / density, b / density)
-    send_ray(paths, k, out, m, hits, frames, lobes, limits, w, 1.0, wo, RAY_REFLECTION | RAY_DIFFUSE,
-             np.int64(0), np.int64(0), record, DIFFUSE_ROUGH)  # fmt: skip
-    return m + 1 if _goes_on(samples, tables, bounce, out, m, k, slot, 12 + (j & 3)) else m
+    send_ray(paths, k, out, m, hits, frames, lobes, limits, w, part, wo, RAY_REFLECTION | RAY_DIFFUSE,
+             np.int64(0), np.int64(0), record, BOUNCE_ROUGH)  # fmt: skip
+    return m + 1 if _goes_on(paths, samples, tables, bounce, part, wanted, out, m, k, slot) else m
 
 
 @device

@@ -13,6 +13,7 @@ import numpy as np
 
 from pointmr_engine.forward.shading.lobe_light import towards_normal
 from pointmr_engine.multires.lobes.curved_mirrors import open_curved, own_variance
+from pointmr_engine.multires.lobes.diffuse_rays import MOST as MOST_DIFFUSE
 from pointmr_engine.multires.lobes.diffuse_rays import may_bounce, scatter_diffuse
 from pointmr_engine.multires.lobes.lobe_paths import (
     WIDEST,
@@ -69,6 +70,7 @@ SPLIT = 0.4  # throughput of a first surface's lobes together from which each of
 CLEAR = 0.25  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 SHARP = 0.3  # roughness below which they are mirrors and clear glass: where a first one bends, what is behind is wider
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
+MIRRORED = 4.0  # diffuse rays of what strong mirrors and clear glass show, which nothing shares
 WEAK_CLEAR = 0.12  # ... and of what goes straight on behind a first surface, for leaves are much alike
 
 
@@ -104,7 +106,7 @@ def _branch(chosen, weight, before, target, total):
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
                   record, integrated, small, bent, curved, shape, turned, chaos, limit, glinting, shares, refractions,
-                  first_share, passed):  # fmt: skip
+                  first_share, bounced, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
@@ -114,10 +116,12 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface. turned, chaos (N,):
     as of mirror_chains.follow_footprints; they count behind it. limit: roughness above which lobes take rays; glinting:
     throughput below which lobes look for lamps. shares, refractions: what rays of the first surfaces' lobes find is
-    shared by these rows, from first_share on (none: not at all). passed (2, L, 3) float64 to work in.
+    shared by these rows, from first_share on (none: not at all). bounced (N,) float64: diffuse rays of first
+    surfaces. passed (2, L, 3) float64 to work in.
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
+    bounces = np.int64(limits.diffuse > 0)
     for k in range(n):
         if sharing:
             p = frames.position
@@ -126,7 +130,9 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                 clear_share(refractions, first_share + k, p[k, 0], p[k, 1], p[k, 2])
         if not alive[k]:
             continue
-        crowded = m + (2 * MOST + 1) * np.int64(lobes.count[k]) + (n - k) > room
+        # all that follow have a row each for what goes on, and one for a diffuse ray where there are any
+        left = room - (1 + bounces) * (n - k)
+        crowded = m + (2 * MOST + 1 + bounces * MOST_DIFFUSE) * np.int64(lobes.count[k]) > left
         wi = (-paths.rays.direction[k, 0], -paths.rays.direction[k, 1], -paths.rays.direction[k, 2])
         t = paths.throughput[k]
         clear = (0.0, 0.0, 0.0)
@@ -143,8 +149,14 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             passed[0, j, 0], passed[0, j, 1], passed[0, j, 2] = r
             passed[1, j, 0], passed[1, j, 1], passed[1, j, 2] = g
         slot = paths.slot[k]
+        wanted = 1.0
+        if bounce == 0:
+            wanted = bounced[k]
+        elif paths.state.diffuse_depth[k] == 0 and _largest(t) >= STRONG:
+            wanted = MIRRORED
         m = scatter_diffuse(
-            paths, samples, np.int64(k), hits, frames, lobes, limits, tables, bounce, wi, room - (n - k), out, m, record
+            paths, samples, np.int64(k), hits, frames, lobes, limits, tables, bounce, wi, wanted, left + bounces, out,
+            m, record,
         )  # fmt: skip
         if not total > 0.0:
             continue

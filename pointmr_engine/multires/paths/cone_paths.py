@@ -14,6 +14,7 @@ from pointmr_engine.forward.shading.world_light import world_lobe
 from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.lobes.blurred_lamps import blurred_lamps
+from pointmr_engine.multires.lobes.diffuse_rays import DIFFUSE_RAYS
 from pointmr_engine.multires.lobes.lobe_lamps import first_fragments, lamps_in_cones
 from pointmr_engine.multires.lobes.lobe_paths import BY_SAMPLES
 from pointmr_engine.multires.lobes.lobe_rays import ROUGH
@@ -62,11 +63,14 @@ class ConePaths(WideLamps):
     def __init__(self, stage, light):
         super().__init__(light.stage(stage, light.rays), light, ROOM)
         n = ROOM
+        if light.shares_bounces:  # twice as many rays of each
+            self.batch = BATCH // 2
         self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.weak)
         self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
         self.none = np.zeros(n, np.bool_)
+        self.bounced = np.zeros(n)  # diffuse rays of first surfaces
         self.turned = np.zeros(n, np.float32)  # of mirrors behind mirrors: mirror_chains.follow_footprints
         self.chaos = np.zeros(n, np.float32)  # of glass behind the first surface: the same
         self.lobe_cones = allocate_lobe_cones(n, allocate_cones(n))
@@ -121,6 +125,8 @@ class ConePaths(WideLamps):
         bends = bounce == 0 and self.light.bends
         if bounce == 0 and self.light.shares:
             self.shared_light.see(self._cone_widths(now, n))
+        if bounce == 0 and self.light.shares_bounces:
+            self._count_bounced(n)
         lobes, light = self.lobes, self.light
         if light.extended and (bounce or not light.many):  # of many, the rays of first mirrors bring enough
             sample_widened(lobes, np.int64(n))
@@ -137,7 +143,9 @@ class ConePaths(WideLamps):
             alive = alive & ~weak
         self.stage, self.glints, self.repeats = self.strong_stage, light.many, light.world_rays
         if bounce == 0:
-            self.shared_light.begin(lobes, now.throughput, self.frames.position, self.first, n)
+            self.shared_light.begin(
+                lobes, now.throughput, self.frames.position, self.bounced[:n], self.first, n
+            )
         if light.rays.turns:
             super()._direct_light(now, n, alive, bounce)
         self.small = None
@@ -224,6 +232,11 @@ class ConePaths(WideLamps):
         """(n,) bool: fragments that weigh too little for cones, and for more than half of the rays to the world."""
         return self.space.fragments.count[self.first : self.first + n] < LARGE
 
+    def _count_bounced(self, n: int) -> None:
+        """How many diffuse rays the fragments of a batch are worth: as many as they fill of a cone."""
+        image, seen = self.space.image, self.space.fragments.count[self.first : self.first + n]
+        self.bounced[:n] = seen * (DIFFUSE_RAYS * self.stage.settings.raytrace.cones**-0.5 / image.cone**2)
+
     def _scatter(self, now, n: int, alive, bounce: int, bent) -> None:
         """Paths behind the surfaces, and their cones. bent: see scatter_lobes."""
         glinting = self.glinting if bounce or self.light.many else 0.0
@@ -232,7 +245,7 @@ class ConePaths(WideLamps):
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
             self.integrated, self.none if self.small is None else self.small, bent, self.curved, self.shape,
             self.turned, self.chaos, self.limit, glinting, self.shared_light.lobes,
-            self.shared_light.refractions, np.int64(self.first), self.passed,
+            self.shared_light.refractions, np.int64(self.first), self.bounced, self.passed,
         )  # fmt: skip
 
     def scatter(self, now, n: int, alive, bounce: int) -> None:

@@ -134,6 +134,7 @@ class FragmentPaths(Workspace):
     def __init__(self, stage: Stage, room: int = 0):
         n = max(room, BATCH)
         super().__init__(stage, n)
+        self.batch = BATCH  # fragments at once
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
         self.shape = np.zeros((n, 6), np.float32)  # curvature.shape_operator of these

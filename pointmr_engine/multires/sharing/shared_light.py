@@ -84,11 +84,16 @@ class SharedLight:
         if self.has_bounces:
             self.bounces = allocate_shares(fragments)
 
-    def begin(self, lobes, throughput, position, first: int, n: int) -> None:
-        """The fragments of a batch have received nothing but by lobes that begin as they scatter."""
+    def begin(self, lobes, throughput, position, bounced: np.ndarray, first: int, n: int) -> None:
+        """The fragments of a batch have received nothing but by lobes that begin as they scatter.
+
+        bounced (n,): how many diffuse rays of each are on their way, on average.
+        """
         for shares, width in ((self.world, self.world_width), (self.lamps, 1.0), (self.bounces, 1.0)):
             if len(shares.rays):
                 begin_shares(lobes, throughput, position, width, np.int64(first), np.int64(n), shares)
+        if self.has_bounces:
+            self.bounces.worth[first : first + n] = bounced
 
     def see(self, width: np.ndarray) -> None:
         """The batch's fragments are seen by cones of that width (n,), metres."""
@@ -184,6 +189,8 @@ class SharedLight:
             side[bounced[~shares]] = 0
             self.towards[own] = 0.0
             self.towards[at] = direction[bounced]
+            # of several rays, none tells how what they bring together turns
+            self.towards[own][np.bincount(at - base, minlength=count) > 1] = 0.0
         for k in range(self.sides):
             rays, copies = (slice(k * self.room + base, k * self.room + base + count) for k in (k, k + 1))
             for column in samples:
