@@ -86,6 +86,7 @@ def test_settings_survive_a_file(tmp_path):
         ("pixel_filter_type", "GAUSSIAN", "pixel_filter", "gaussian"),
         ("filter_width", 2.5, "filter_width", 2.5),
         ("max_bounces", 3, "max_bounces", 3),
+        ("diffuse_bounces", 5, "diffuse_bounces", 5),
         ("glossy_bounces", 2, "glossy_bounces", 2),
         ("transmission_bounces", 9, "transmission_bounces", 9),
         ("transparent_max_bounces", 7, "transparent_max_bounces", 7),

@@ -21,7 +21,6 @@ from pointmr_engine import (
 )
 from pointmr_engine.multires.cone_light import ConeLight
 from pointmr_engine.multires.sharing.light_shares import (
-    MOVE_OF_LOBE,
     allocate_shares,
     count_lobe_rays,
     count_near,
@@ -130,9 +129,7 @@ def test_nothing_counts_as_nearer_than_the_closest(t, closest):
     lobes, near = np.zeros(4, np.float32), np.zeros(4, np.float32)
     near_of = np.full(4, closest, np.float32)
     count_lobe_rays(np.array([1, 7]), rays[0], rays[1], near_of, np.int64(2), np.int64(4), lobes, near)
-    assert lobes.tolist() == [0, 0, 0, 1] and near[3] == pytest.approx(
-        MOVE_OF_LOBE / max(t, closest), rel=1e-5
-    )
+    assert lobes.tolist() == [0, 0, 0, 1] and near[3] == pytest.approx(1.0 / max(t, closest), rel=1e-5)
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.0, 2.0 * np.pi))

@@ -8,7 +8,6 @@ import pytest
 from benchmarks.closed_forms import curved_mirror
 from benchmarks.closed_forms.stage import mirror
 from pointmr_engine import RenderSettings, Scene, principled, render
-from pointmr_engine.multires import method
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.lobes.lobe_view import allocate_lobe_cones
 from pointmr_engine.multires.paths import cone_paths, fragment_paths
@@ -87,8 +86,7 @@ def test_the_batches_do_not_show(monkeypatch, secondary):
         48, 36, method="raytrace", threads=1, raytrace=RaytraceSettings(secondary=secondary)
     )
     whole = render(mirrors(), settings)
-    for module in (fragment_paths, method):
-        monkeypatch.setattr(module, "BATCH", 256)
+    monkeypatch.setattr(fragment_paths, "BATCH", 256)
     for name, value in (("PARTS", 200), ("FEW", 40), ("MANY", 100)):
         monkeypatch.setattr(fragment_paths, name, value)
     parts = render(mirrors(), settings)

@@ -32,6 +32,7 @@ JUDGED = [  # one or two of a kind: what a minute allows
     "sky beside a wall",
     "sky at a contact",
     "sky under a roof",
+    "sphere from inside",
 ]
 PATCH = 0.01  # bound of flat patches
 BOUNDS = {1: 0.02, 64: 0.005}  # by cones a pixel

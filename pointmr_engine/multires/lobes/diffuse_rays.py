@@ -15,9 +15,8 @@ from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, ro
 from pointmr_engine.shading.lobes import diffuse_direction, value_of
 from pointmr_engine.shading.points import RAY_DIFFUSE, RAY_REFLECTION, RAY_TRANSMISSION
 
-# throughputs below it go on by chance, for lights have been sampled: of first surfaces, and of what came so far behind
-WEAK_DIFFUSE, WEAK_BEHIND = 0.5, 0.5
-# rays of a cone that sees one surface, at one cone a pixel; its fragments have their shares of them, up to MOST
+WEAK = 0.5  # throughputs below it go on by chance, for lights have been sampled
+# rays of a cone that sees one surface; its fragments have their shares of them, up to MOST
 DIFFUSE_RAYS, MOST = 16.0, 4
 # what the rays stand for, as if they were of a lobe this rough: of what passes leaves, and of what bounces
 THROUGH_ROUGH, BOUNCE_ROUGH = 0.4, 0.2
@@ -54,25 +53,22 @@ def scatter_diffuse(
             matt = matt or base <= OREN_NAYAR
             u, v = lobe_place(tables, samples, paths.slot[k], bounce, k, j)
             times = min(max(np.int64(wanted), np.int64(1)), np.int64(MOST), room - m)
-            for _ in range(times):
+            for number in range(times):
                 m = _reflect(
-                    paths, samples, k, np.int64(j), base <= OREN_NAYAR, 1.0 / times, wanted, u, v, hits, frames, lobes,
-                    limits, tables, bounce, wi, out, m, record,
+                    paths, samples, k, np.int64(j), base <= OREN_NAYAR, number, times, wanted, u, v, hits, frames,
+                    lobes, limits, tables, bounce, wi, out, m, record,
                 )  # fmt: skip
                 u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
     return m
 
 
 @device
-def _goes_on(paths, samples, tables, bounce, part, wanted, out, m, k, slot):
-    """Whether row m, which is a part of the rays of point k's diffuse lobe, goes on. What shines is none of its own."""
+def _goes_on(samples, tables, bounce, weak, out, m, k, slot, number):
+    """Whether row m, the ray of that number of point k's diffuse lobe, goes on; by chance if it is below `weak`."""
     out.bsdf_pdf[m] = BY_SAMPLES
-    seed = np.uint32(samples.seed[slot] ^ np.uint32(k) ^ np.uint32(m << 8))
+    seed = np.uint32(samples.seed[slot] ^ np.uint32(k) ^ np.uint32(number << 24))
     chance = sample_1d(tables, seed, np.uint32(64 * bounce + 11), samples.number[slot])
-    t = paths.throughput[k]
-    weak = WEAK_DIFFUSE if bounce == 0 else WEAK_BEHIND * max(t[0], t[1], t[2])
-    largest = max(out.throughput[m, 0], out.throughput[m, 1], out.throughput[m, 2])
-    return survives(out, m, chance, max(weak * part, largest / min(wanted, 1.0)))
+    return survives(out, m, chance, weak)
 
 
 @device
@@ -85,14 +81,15 @@ def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, 
         return m
     send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
              RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, THROUGH_ROUGH)  # fmt: skip
-    return m + 1 if _goes_on(paths, samples, tables, bounce, 1.0, 1.0, out, m, k, slot) else m
+    return m + 1 if _goes_on(samples, tables, bounce, WEAK, out, m, k, slot, np.int64(0)) else m
 
 
 @device
 def _reflect(
-    paths, samples, k, j, matt, part, wanted, u, v, hits, frames, lobes, limits, tables, bounce, wi, out, m, record
+    paths, samples, k, j, matt, number, times, wanted, u, v, hits, frames, lobes, limits, tables, bounce, wi, out, m,
+    record,
 ):  # fmt: skip
-    """The ray of diffuse lobe j, or of all matt lobes of which it is the first, if it goes on; `part` of their light.
+    """A ray of diffuse lobe j, or of all matt lobes of which it is the first, if it goes on: that `number` of `times`.
 
     wanted: as of `scatter_diffuse`; u, v: random numbers.
     """
@@ -123,9 +120,13 @@ def _reflect(
     if not density > 0.0:
         return m
     w = (r / density, g / density, b / density)
-    send_ray(paths, k, out, m, hits, frames, lobes, limits, w, part, wo, RAY_REFLECTION | RAY_DIFFUSE,
+    send_ray(paths, k, out, m, hits, frames, lobes, limits, w, 1.0 / times, wo, RAY_REFLECTION | RAY_DIFFUSE,
              np.int64(0), np.int64(0), record, BOUNCE_ROUGH)  # fmt: skip
-    return m + 1 if _goes_on(paths, samples, tables, bounce, part, wanted, out, m, k, slot) else m
+    t, o = paths.throughput[k], out.throughput[m]
+    # of a first surface; behind, of what came so far: rays of which there are several are weak by that alone
+    weak = WEAK * (1.0 if bounce == 0 else max(t[0], t[1], t[2])) / times
+    weak = max(weak, max(o[0], o[1], o[2]) / min(wanted, 1.0))
+    return m + 1 if _goes_on(samples, tables, bounce, weak, out, m, k, slot, number) else m
 
 
 @device

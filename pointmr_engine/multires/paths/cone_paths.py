@@ -235,7 +235,7 @@ class ConePaths(WideLamps):
     def _count_bounced(self, n: int) -> None:
         """How many diffuse rays the fragments of a batch are worth: as many as they fill of a cone."""
         image, seen = self.space.image, self.space.fragments.count[self.first : self.first + n]
-        self.bounced[:n] = seen * (DIFFUSE_RAYS * self.stage.settings.raytrace.cones**-0.5 / image.cone**2)
+        self.bounced[:n] = seen * (DIFFUSE_RAYS / image.cone**2)
 
     def _scatter(self, now, n: int, alive, bounce: int, bent) -> None:
         """Paths behind the surfaces, and their cones. bent: see scatter_lobes."""
