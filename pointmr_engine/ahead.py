@@ -118,10 +118,11 @@ def scenes() -> Iterator[Scene]:
 
 
 def compile_methods(methods: tuple[str, ...] = METHODS) -> None:
-    """Render the scenes by each of the methods."""
-    for scene in scenes():
+    """Render the scenes by each of the methods, each other scene with diffuse bounces."""
+    for number, scene in enumerate(scenes()):
         for method in methods:
-            render(scene, RenderSettings(24, 18, method=method, samples=2, threads=1))
+            settings = RenderSettings(24, 18, method=method, samples=2, diffuse_bounces=number % 2, threads=1)
+            render(scene, settings)
 
 
 def main() -> None:

@@ -22,6 +22,7 @@ PASSES_DONE = 8  # the normal pass has its surface
 THROUGH = 16  # some surface was passed straight
 SEES_LAMPS = 32  # no light sample looked for lamps in the ray's place (multires)
 NO_LAMPS = 64  # light samples looked for all lamps in the ray's place (multires)
+UNSHARED = 128  # what the ray finds is its fragment's alone (multires)
 
 
 class Paths(NamedTuple):

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from benchmarks.closed_forms import curved_mirror
 from benchmarks.forward.scenes import look
@@ -24,6 +26,7 @@ from pointmr_engine import (
 )
 from pointmr_engine.multires.paths import cone_paths
 from pointmr_engine.multires.sharing.light_shares import allocate_shares, take_bounced
+from pointmr_engine.multires.sharing.shared_light import numbers_of_equal
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, VISIBLE
@@ -232,4 +235,12 @@ def test_what_bounces_is_told_with_how_it_turns():
     np.testing.assert_allclose(shares.light, radiance, rtol=1e-6)
     arrived = radiance[0].sum() / 0.5
     np.testing.assert_allclose(shares.turned[0], arrived / 0.8 * direction[0], rtol=1e-6)
-    assert not shares.turned[1].any()  # several rays: none is told
+    assert not shares.turned[1].any()
+
+
+@given(st.lists(st.integers(0, 5), max_size=40))
+def test_each_of_a_fragments_rays_has_a_number(slots):
+    slots = np.sort(np.array(slots, np.int32))
+    numbers = numbers_of_equal(slots)
+    for slot in np.unique(slots):
+        np.testing.assert_array_equal(numbers[slots == slot], np.arange((slots == slot).sum()))

@@ -8,16 +8,18 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.multires.lobes.lobe_paths import BY_SAMPLES, lobe_place, send_ray, survives
+from pointmr_engine.multires.sharing.light_shares import MOST_DIFFUSE
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.rng import R2, sample_1d
+from pointmr_engine.raytracing.path_arrays import UNSHARED
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 from pointmr_engine.shading.bsdf.vector import cosine_hemisphere, dot, load3, row3
 from pointmr_engine.shading.lobes import diffuse_direction, value_of
 from pointmr_engine.shading.points import RAY_DIFFUSE, RAY_REFLECTION, RAY_TRANSMISSION
 
 WEAK = 0.5  # throughputs below it go on by chance, for lights have been sampled
-# rays of a cone that sees one surface; its fragments have their shares of them, up to MOST
-DIFFUSE_RAYS, MOST = 16.0, 4
+# rays of a cone that sees one surface; its fragments have their shares of them, up to MOST_DIFFUSE
+DIFFUSE_RAYS = 16.0
 # what the rays stand for, as if they were of a lobe this rough: of what passes leaves, and of what bounces
 THROUGH_ROUGH, BOUNCE_ROUGH = 0.4, 0.2
 
@@ -37,7 +39,7 @@ def scatter_diffuse(
     wanted: rays of each that reflects; less than 1: by chance.
 
     They go on beside what else does, for where one of both is chosen by chance, weak lobes beside them would stand for
-    them, too. Matt lobes send one together, which fragments share (light_shares.begin_shares); others as of
+    them, too. Matt lobes send theirs together, and share what these find (light_shares.begin_shares). Others as of
     scatter.scatter_lobes.
     """
     bounces, matt = may_bounce(paths, limits, k), False
@@ -52,7 +54,7 @@ def scatter_diffuse(
         elif bounces and not (matt and base <= OREN_NAYAR):
             matt = matt or base <= OREN_NAYAR
             u, v = lobe_place(tables, samples, paths.slot[k], bounce, k, j)
-            times = min(max(np.int64(wanted), np.int64(1)), np.int64(MOST), room - m)
+            times = min(max(np.int64(wanted), np.int64(1)), np.int64(MOST_DIFFUSE), room - m)
             for number in range(times):
                 m = _reflect(
                     paths, samples, k, np.int64(j), base <= OREN_NAYAR, number, times, wanted, u, v, hits, frames,
@@ -122,6 +124,8 @@ def _reflect(
     w = (r / density, g / density, b / density)
     send_ray(paths, k, out, m, hits, frames, lobes, limits, w, 1.0 / times, wo, RAY_REFLECTION | RAY_DIFFUSE,
              np.int64(0), np.int64(0), record, BOUNCE_ROUGH)  # fmt: skip
+    if not matt:
+        out.flags[m] |= UNSHARED
     t, o = paths.throughput[k], out.throughput[m]
     # of a first surface; behind, of what came so far: rays of which there are several are weak by that alone
     weak = WEAK * (1.0 if bounce == 0 else max(t[0], t[1], t[2])) / times

@@ -18,6 +18,7 @@ from pointmr_engine.raytracing.path_arrays import (
     NO_LAMPS,
     SEES_LAMPS,
     THROUGH,
+    UNSHARED,
     copy_path,
     copy_ray,
 )
@@ -60,7 +61,7 @@ def go_on(
     """
     a, s = paths.state, out.state
     diffuse = np.int64(1) - glossy - transmission
-    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS | NO_LAMPS)
+    path_flags = np.int64(paths.flags[k]) & ~np.int64(BACKDROP | SEES_LAMPS | NO_LAMPS | UNSHARED)
     s.depth[m] = a.depth[k] + 1
     s.diffuse_depth[m] = a.diffuse_depth[k] + diffuse
     s.glossy_depth[m] = a.glossy_depth[k] + glossy

@@ -13,7 +13,6 @@ import numpy as np
 
 from pointmr_engine.forward.shading.lobe_light import towards_normal
 from pointmr_engine.multires.lobes.curved_mirrors import open_curved, own_variance
-from pointmr_engine.multires.lobes.diffuse_rays import MOST as MOST_DIFFUSE
 from pointmr_engine.multires.lobes.diffuse_rays import may_bounce, scatter_diffuse
 from pointmr_engine.multires.lobes.lobe_paths import (
     WIDEST,
@@ -37,7 +36,7 @@ from pointmr_engine.multires.lobes.lobe_view import (
     refraction,
 )
 from pointmr_engine.multires.lobes.mirror_chains import blur_lamps, blurs_lamps, grow
-from pointmr_engine.multires.sharing.light_shares import add_lobe, clear_share
+from pointmr_engine.multires.sharing.light_shares import MOST_DIFFUSE, add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R2, sample_1d
 from pointmr_engine.raytracing.path_arrays import LAST, NO_LAMPS, SEES_LAMPS

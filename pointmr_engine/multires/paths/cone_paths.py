@@ -257,7 +257,7 @@ class ConePaths(WideLamps):
 
     def meet(self, tile, now, then, n: int, bounce: int) -> int:
         self.then = then
-        if bounce == 1 and self.shared_light.sides:
+        if bounce == 1 and self.shared_light.copies:
             self.shared_light.count_lobe_rays(now.slot, self.hits, n)
         return super().meet(tile, now, then, n, bounce)
 

@@ -18,7 +18,7 @@ from pointmr_engine.multires.sharing.world_rays import (
 )
 from pointmr_engine.raytracing.integrator import NEXT
 from pointmr_engine.raytracing.lights import LAMP, WORLD
-from pointmr_engine.raytracing.path_arrays import allocate_samples
+from pointmr_engine.raytracing.path_arrays import UNSHARED, allocate_samples
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_REFLECTION
 
 MIRRORED = 4  # times as many rays to the world from what mirrors and clear glass show, which nothing shares
@@ -33,8 +33,8 @@ class SharingPaths(EdgePaths):
         self.small = None  # (n,) bool, while first surfaces are lit: too small for cones
         self.shared_light = SharedLight(light, room)
         self.asks, self.begins = None, False  # lights that first surfaces ask for now; whether rays begin
-        if self.shared_light.sides:
-            self.every = allocate_samples((1 + self.shared_light.sides) * room)
+        if self.shared_light.copies:
+            self.every = allocate_samples((1 + self.shared_light.copies) * room)
         self.peers = np.ones(room)  # cones that share what a fragment receives
         self.asked = np.zeros(room, np.int64)  # rays to the world, or to one of many lights
         self.repeats = light.world_rays  # rays of a point behind first surfaces to the world: see MIRRORED
@@ -45,21 +45,20 @@ class SharingPaths(EdgePaths):
         self.shared_light.start_tile(len(space.fragments.entry))
 
     def leave(self, then, n: int, base: int, count: int) -> None:
-        if self.shared_light.sides:
-            kind, within = then.state.kind[:n], self.waiting_cones().alpha[:n] == WITHIN_LOBE
-            diffuse = kind & RAY_DIFFUSE != 0
-            side = within * np.where(
-                kind & RAY_REFLECTION != 0,
-                np.where(diffuse, BOUNCED, REFLECTED),
-                np.where(diffuse, 0, REFRACTED),
-            )
+        if self.shared_light.copies:
+            kind, side = then.state.kind[:n], np.zeros(n, np.int64)
+            shared = (self.waiting_cones().alpha[:n] == WITHIN_LOBE) & (then.flags[:n] & UNSHARED == 0)
+            reflects, diffuse = kind & RAY_REFLECTION != 0, kind & RAY_DIFFUSE != 0
+            side[shared & reflects] = REFLECTED
+            side[shared & reflects & diffuse] = BOUNCED
+            side[shared & ~reflects & ~diffuse] = REFRACTED
             self.shared_light.separate(
                 self.every, then.slot[:n], side, then.rays.direction[:n], self.first, base, count
             )
 
     def receive(self, first: int, base: int, count: int) -> None:
         super().receive(first, base, count)
-        if self.shared_light.sides:
+        if self.shared_light.copies:
             self.shared_light.take_lobes(self.every, first, base, count)
 
     def _look_at_light(self, now, m: int, turn) -> None:

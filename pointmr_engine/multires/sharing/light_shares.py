@@ -12,6 +12,7 @@ import numpy as np
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf.layout import KIND_MASK, NORMAL, OREN_NAYAR, TRANSLUCENT, WEIGHT
 
+MOST_DIFFUSE = 4  # diffuse rays of a fragment, each with light of its own to tell
 DIM = 1e-4  # reflectance below which a fragment has nothing to share
 # cosine: how light changes is told of lower rays as if they came from there, lest one of them outweighs all others
 GRAZING = 0.1

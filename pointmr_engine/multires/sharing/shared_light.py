@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.sharing.light_shares import (
+    MOST_DIFFUSE,
     allocate_shares,
     begin_shares,
     count_blocked,
@@ -40,12 +41,21 @@ MOVE_OF_LOBE = 0.25
 REFLECTED, REFRACTED, BOUNCED = 1, 2, 3  # ... 3: is diffuse
 
 
+def numbers_of_equal(values: np.ndarray) -> np.ndarray:
+    """Of values (n,) of which equal ones lie side by side: how many equal ones lie before each."""
+    at = np.arange(len(values))
+    begins = np.ones(len(values), np.bool_)
+    begins[1:] = values[1:] != values[:-1]
+    return at - np.maximum.accumulate(np.where(begins, at, 0))
+
+
 class SharedLight:
     """One thread's shares. Rows are the tile's fragments; a batch is its fragments first..first + n.
 
     world, lamps, lobes, refractions, bounces: Shares, empty where there is nothing of the kind. `room`: samples of
     fragments under way at once; rays that are shared bring their light to samples of their own, `room` rows behind
-    those of their fragments, each further side as many rows behind these.
+    those of their fragments: of lobes that reflect, behind these of those that refract, and then a copy for each of a
+    fragment's diffuse rays.
     """
 
     def __init__(self, light, room: int):
@@ -54,17 +64,17 @@ class SharedLight:
         )  # fmt: skip
         self.has_refractions = self.has_lobes and light.shares_refractions
         self.has_bounces = light.shares_bounces
-        has = {REFLECTED: self.has_lobes, REFRACTED: self.has_refractions, BOUNCED: self.has_bounces}
-        sides = [side for side in has if has[side]]
-        # row of a side's samples, in rooms: 0 is that of what is not shared
-        self.row_of = np.array([0] + [sides.index(s) + 1 if s in sides else 0 for s in has], np.int32)
-        self.room, self.sides, self.fragments = room, len(sides), 0
+        # copies of samples: 0 are those of what is not shared
+        times = int(self.has_lobes), int(self.has_refractions), MOST_DIFFUSE * int(self.has_bounces)
+        first = 1 + np.concatenate([(0,), np.cumsum(times)])
+        self.copy_of = np.where(np.array((0, *times)) > 0, (0, *first[:-1]), 0)  # the first of each side
+        self.room, self.copies, self.fragments = room, sum(times), 0
         self.world = self.lamps = self.lobes = self.refractions = self.bounces = allocate_shares(0)
-        self.lobe_rays, self.lobe_near = np.zeros((2, self.sides * room), np.float32)
-        self.towards = np.zeros((room if self.has_bounces else 0, 3))  # rays of diffuse lobes
+        self.lobe_rays, self.lobe_near = np.zeros((2, self.copies * room), np.float32)
+        self.towards = np.zeros((times[2] * room, 3))  # diffuse rays
         self.own = np.zeros((room if self.has_world else 0, 3))  # of the world's light, what is not shared
         self.lamp_width = np.ones(room)
-        self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(self.sides * room, np.float32)
+        self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(self.copies * room, np.float32)
         self.mis = light.lights.arrays.lamps.mis
         self.world_width = max(light.lights.environment.map.width, NARROWEST)
 
@@ -181,24 +191,23 @@ class SharedLight:
         side (n,) int: REFLECTED, ..., or 0 of those that are not; direction (n, 3): of their rays. Bounces are not of
         fragments that share none; theirs begin with `first`.
         """
-        own = slice(base, base + count)
+        own, copy = slice(base, base + count), self.copy_of[side]
         if self.has_bounces:
-            bounced = np.flatnonzero(side == BOUNCED)
-            at = slots[bounced]
-            shares = self.bounces.albedo[first + at - base].max(1) > 0.0
-            side[bounced[~shares]] = 0
-            self.towards[own] = 0.0
-            self.towards[at] = direction[bounced]
-            # of several rays, none tells how what they bring together turns
-            self.towards[own][np.bincount(at - base, minlength=count) > 1] = 0.0
-        for k in range(self.sides):
+            rows = np.flatnonzero(side == BOUNCED)
+            shares = self.bounces.albedo[first + slots[rows] - base].max(1) > 0.0
+            copy[rows[~shares]] = 0
+            rows = rows[shares]
+            number = numbers_of_equal(slots[rows])
+            copy[rows] += number
+            self.towards[slots[rows] + self.room * number] = direction[rows]
+        for k in range(self.copies):
             rays, copies = (slice(k * self.room + base, k * self.room + base + count) for k in (k, k + 1))
             for column in samples:
                 column[copies] = column[own]
             samples.radiance[copies] = 0.0
             self.lobe_closest[rays] = self.closest[:count]
             self.lobe_rays[rays] = self.lobe_near[rays] = 0.0
-        slots += (self.room * self.row_of[side]).astype(slots.dtype)
+        slots += (self.room * copy).astype(slots.dtype)
 
     def count_lobe_rays(self, slots, hits, n: int) -> None:
         """Note what paths 0..n with samples of their own met first."""
@@ -209,23 +218,23 @@ class SharedLight:
 
     def take_lobes(self, samples, first: int, base: int, count: int) -> None:
         """What the rays of fragments first..first + count have found is shared; their samples begin at `base`."""
-        to = slice(first, first + count)
-        for side, shares, move in (
-            (REFLECTED, self.lobes, MOVE_OF_LOBE), (REFRACTED, self.refractions, MOVE_OF_LOBE),
-            (BOUNCED, self.bounces, 1.0),
-        ):  # fmt: skip
-            if not len(shares.rays):
-                continue
-            begin = (self.row_of[side] - 1) * self.room + base
-            own = slice(begin, begin + count)
-            found = samples.radiance[self.room + begin : self.room + begin + count]
-            if side == BOUNCED:
-                towards = self.towards[base : base + count]
-                take_bounced(found, towards, np.int64(first), np.int64(count), shares)
-            else:
-                shares.light[to] += found
-            shares.rays[to] += self.lobe_rays[own]
-            shares.nearness[to] += np.float32(move) * self.lobe_near[own]
+        for side, shares in ((REFLECTED, self.lobes), (REFRACTED, self.refractions)):
+            if len(shares.rays):
+                found = self._take_copy(self.copy_of[side], samples, shares, MOVE_OF_LOBE, first, base, count)
+                shares.light[first : first + count] += found
+        for number in range(MOST_DIFFUSE * int(self.has_bounces)):
+            shares, copy = self.bounces, self.copy_of[BOUNCED] + number
+            found = self._take_copy(copy, samples, shares, 1.0, first, base, count)
+            begin = number * self.room + base
+            take_bounced(found, self.towards[begin : begin + count], np.int64(first), np.int64(count), shares)
+
+    def _take_copy(self, copy, samples, shares, move: float, first: int, base: int, count: int) -> np.ndarray:
+        """What rays with that copy of samples met counts for `shares`; returns (count, 3) what they have found."""
+        begin = (copy - 1) * self.room + base
+        to, own = slice(first, first + count), slice(begin, begin + count)
+        shares.rays[to] += self.lobe_rays[own]
+        shares.nearness[to] += np.float32(move) * self.lobe_near[own]
+        return samples.radiance[self.room + begin : self.room + begin + count]
 
     def give(self, space, count: int) -> None:
         """Add what the tile's fragments 0..count receive together to space.light."""
