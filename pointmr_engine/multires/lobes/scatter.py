@@ -69,8 +69,8 @@ SPLIT = 0.4  # throughput of a first surface's lobes together from which each of
 CLEAR = 0.25  # throughput from which a path divides at mirrors and clear glass behind the first surface, too
 SHARP = 0.3  # roughness below which they are mirrors and clear glass: where a first one bends, what is behind is wider
 WEAK = 0.03  # throughputs below it go on by chance: below, rays cost more than their noise is worth ...
-MIRRORED = 4.0  # diffuse rays of what strong mirrors and clear glass show, which nothing shares
 WEAK_CLEAR = 0.12  # ... and of what goes straight on behind a first surface, for leaves are much alike
+MIRRORED = 4.0  # diffuse rays of what strong mirrors and clear glass show, which nothing shares
 
 
 @device

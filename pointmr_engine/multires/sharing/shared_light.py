@@ -37,8 +37,8 @@ NARROWEST = 0.1
 POINT_WIDTH = 0.01  # of light from one direction: nothing is as sharp as it in an image
 # of the way against the distance of what a lobe's rays met: how much of what it sees changes
 MOVE_OF_LOBE = 0.25
-# what lets fragments share what a path's first ray finds: it was sent by a lobe that ...
-REFLECTED, REFRACTED, BOUNCED = 1, 2, 3  # ... 3: is diffuse
+# what sent a first ray whose light fragments share: a lobe that reflects, one that refracts, or a diffuse one
+REFLECTED, REFRACTED, BOUNCED = 1, 2, 3
 
 
 def numbers_of_equal(values: np.ndarray) -> np.ndarray:
@@ -64,14 +64,13 @@ class SharedLight:
         )  # fmt: skip
         self.has_refractions = self.has_lobes and light.shares_refractions
         self.has_bounces = light.shares_bounces
-        # copies of samples: 0 are those of what is not shared
-        times = int(self.has_lobes), int(self.has_refractions), MOST_DIFFUSE * int(self.has_bounces)
-        first = 1 + np.concatenate([(0,), np.cumsum(times)])
-        self.copy_of = np.where(np.array((0, *times)) > 0, (0, *first[:-1]), 0)  # the first of each side
-        self.room, self.copies, self.fragments = room, sum(times), 0
+        # copies of samples that each of these has, and which is its first; copy 0: the samples themselves
+        times = np.array([0, self.has_lobes, self.has_refractions, MOST_DIFFUSE * self.has_bounces], np.int64)
+        self.copy_of = np.where(times > 0, 1 + np.cumsum(times) - times, 0)
+        self.room, self.copies, self.fragments = room, int(times.sum()), 0
         self.world = self.lamps = self.lobes = self.refractions = self.bounces = allocate_shares(0)
         self.lobe_rays, self.lobe_near = np.zeros((2, self.copies * room), np.float32)
-        self.towards = np.zeros((times[2] * room, 3))  # diffuse rays
+        self.towards = np.zeros((times[BOUNCED] * room, 3))  # where diffuse rays go
         self.own = np.zeros((room if self.has_world else 0, 3))  # of the world's light, what is not shared
         self.lamp_width = np.ones(room)
         self.closest, self.lobe_closest = np.zeros(room, np.float32), np.zeros(self.copies * room, np.float32)
