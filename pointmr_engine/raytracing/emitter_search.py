@@ -115,6 +115,12 @@ def find_emitters(
     return *pack_emitters(blocks, varying), places, warnings
 
 
+def leaves_haze(geometry: Geometry, programs: list) -> bool:
+    """Whether `find_emitters` of `every` leaves something to chance, as it has too many triangles."""
+    left = _sides(geometry, programs, True) != _sides(geometry, programs, False)
+    return bool(left.any()) and not _few_left(geometry, left).all()
+
+
 def _sides(geometry: Geometry, programs: list, every: bool) -> np.ndarray:
     """(materials,) uint8: FRONT and BACK bits of each material that are sampled."""
     materials = zip(geometry.materials, programs, strict=True)

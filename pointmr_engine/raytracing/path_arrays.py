@@ -73,6 +73,8 @@ class Limits(NamedTuple):
     # points with nothing but a diffuse lobe are lit by light samples alone, and end their path
     diffuse_by_lights: bool
     lobe_spread: float  # how much of a lobe's width one of its rays stands for
+    # diffuse rays go out even where they may not bounce: something shines that no light sample finds (multires)
+    seeks: bool
 
 
 def limits_of(settings: RenderSettings, only_met: bool = True) -> Limits:
@@ -90,6 +92,7 @@ def limits_of(settings: RenderSettings, only_met: bool = True) -> Limits:
         float(settings.clamp_indirect),
         settings.method == "conventional" and settings.diffuse_bounces == 0 and not only_met,
         1.0 / math.sqrt(settings.samples),
+        False,
     )
 
 

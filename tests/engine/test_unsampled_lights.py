@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pointmr_engine import Group, Material, Mesh, Scene, principled, uniform_world
+from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, principled, render, uniform_world
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.multires.cone_light import sampled_lights
 from pointmr_engine.raytracing.emitter_search import find_emitters
@@ -67,6 +67,32 @@ def test_emission_that_is_left_to_chance_lights_as_much(strength, sampling, turn
 def test_sides_that_are_not_sampled_light_as_much(turned):
     ours, both = (image(wall_and_floor(5.0, s, turned), cones=4)[:24].mean() for s in ("FRONT", "FRONT_BACK"))
     assert ours == pytest.approx(both, rel=0.03) and both > 0.05
+
+
+@pytest.mark.parametrize("bounces", [0, 1])
+def test_haze_lights_what_is_near(bounces):
+    """What has too many triangles to be a light is found by diffuse rays; nothing else sends any for it."""
+    seen = {}
+    for side in (64, 128):
+        scene = Scene(
+            Group("root", [quad(2.0, material=GREY), grid(side, shining(0.4, "NONE"))]),
+            from_above(2.0),
+            [],
+            DARK,
+        )
+        seen[side] = [image(scene, cones=4, seed=s, diffuse_bounces=bounces).mean() for s in range(2)]
+    exact = image(scene, method="distributed", samples=512, diffuse_bounces=bounces)
+    assert exact.mean() > 0.005
+    assert np.mean(seen[128]) == pytest.approx(exact.mean(), rel=0.03)
+    assert np.mean(seen[64]) == pytest.approx(exact.mean(), rel=0.03)
+
+
+def test_what_is_sampled_is_not_sought_besides():
+    for side, rays in ((64, 0), (128, 48 * 36)):
+        wall = grid(side, shining(0.4, "NONE"))
+        scene = Scene(Group("root", [quad(2.0, material=GREY), wall]), from_above(2.0), [], DARK)
+        counters = render(scene, RenderSettings(48, 36, method="raytrace")).stats["counters"]
+        assert (counters.get("lobe_rays", 0) > 0) == (rays > 0) and counters.get("lobe_rays", 0) >= rays
 
 
 def test_haze_is_no_light():

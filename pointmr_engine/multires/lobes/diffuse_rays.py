@@ -42,7 +42,7 @@ def scatter_diffuse(
     them, too. Matt lobes send theirs together, and share what these find (light_shares.begin_shares). Others as of
     scatter.scatter_lobes.
     """
-    bounces, matt = may_bounce(paths, limits, k), False
+    bounces, matt = may_bounce(paths, limits, k) or limits.seeks, False
     for j in range(np.int64(lobes.count[k])):
         base = lobes.kind[k, j] & KIND_MASK
         if m + 1 > room or base > TRANSLUCENT:

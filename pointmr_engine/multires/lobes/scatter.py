@@ -120,7 +120,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
-    bounces = np.int64(limits.diffuse > 0)
+    bounces = np.int64(limits.diffuse > 0 or limits.seeks)
     for k in range(n):
         if sharing:
             p = frames.position
