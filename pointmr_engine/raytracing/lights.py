@@ -315,7 +315,7 @@ def build_lights(
     geometry: hierarchy.geometry.Geometry; programs: the materials' Programs in the order of geometry.materials.
     environment: Environment(scene.world), where it is at hand.
     every: for methods whose diffuse surfaces send no rays that could meet a light by chance: what is left to chance is
-    sampled, too, a world, backs of surfaces, weak emission, but for glows and haze (emitter_search.find_emitters); and the
+    sampled, too, a world, backs of surfaces, weak emission, but for glows and haze (find_emitters); and the
     world's sun is a lamp.
     """
     if environment is None or (every and environment.unsampled):
