@@ -15,7 +15,7 @@ from pointmr_engine.multires.cones.cones import Cones
 from pointmr_engine.multires.lens.lens import refracts, sharpest
 from pointmr_engine.multires.sharing.world_rays import WORTH
 from pointmr_engine.raytracing.compile_lamps import compile_lamps
-from pointmr_engine.raytracing.emitter_search import leaves_haze, sampled_sides
+from pointmr_engine.raytracing.emitter_search import sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, TAN_SPREAD
 from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
@@ -66,8 +66,7 @@ class ConeLight:
         self.shares_refractions = (
             self.shares_lobes and stage.limits.transmission > 0 and refracts(sampler.programs)
         )
-        self.seeks = leaves_haze(sampler.geometry, sampler.programs)
-        self.shares_bounces = self.seeks or min(stage.limits.diffuse, stage.limits.bounces) > 0
+        self.shares_bounces = lights.haze or min(stage.limits.diffuse, stage.limits.bounces) > 0
         # a mirror never shows a lamp that is a point
         self.points = not bool(arrays.lamps.mis.all())
         self.extended = (lamps > 0 or len(arrays.emitters.path) > 0) and not self.points
@@ -101,7 +100,7 @@ class ConeLight:
             stage,
             lights=lights,
             needs=replace(stage.needs, light_samples=True),
-            limits=stage.limits._replace(diffuse_by_lights=True, seeks=self.seeks),
+            limits=stage.limits._replace(diffuse_by_lights=True, seeks=self.lights.haze),
         )
 
     def blocked(self, cones: Cones, count: int, masks: np.ndarray, solid: bool = False) -> None:

@@ -15,7 +15,7 @@ from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements
 from pointmr_engine.raytracing import light_sampling as kernels
 from pointmr_engine.raytracing.compile_lamps import compile_lamps
-from pointmr_engine.raytracing.emitter_search import find_emitters, sampled_sides
+from pointmr_engine.raytracing.emitter_search import find_emitters, leaves_haze, sampled_sides
 from pointmr_engine.raytracing.environment import ABOVE, UNIFORM, Environment
 from pointmr_engine.raytracing.lamp_nodes import LampNodes, lamp_nodes
 from pointmr_engine.raytracing.lamps import DISTANT, POINT, Lamps
@@ -59,7 +59,8 @@ class Lights:
     chose the ray, inf where lights were not sampled at all (camera rays, mirrors): then the weight is 1.
 
     warnings: what was left out, by name. empty: nothing is ever sampled. only_met: something shines that is not sampled
-    (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it. lamps: what
+    (weak or excluded emission, a world left to chance), so only rays that a BSDF chose can find it. haze: with `every`
+    (build_lights), too, something is left to chance, as it has too many triangles. lamps: what
     `arrays.lamps.source` numbers; nodes: of those of `arrays.lamps` that vary. turns: what
     `sample` is asked for in turn at every point, so that together they find all lights: here None alone, see `apart`.
     """
@@ -76,6 +77,7 @@ class Lights:
         lamps: list[Light],
         nodes: dict[int, LampNodes],
         only_met: bool,
+        haze: bool,
         warnings: list[str],
     ):
         self.arrays = arrays
@@ -84,6 +86,7 @@ class Lights:
         self.environment = environment
         self.warnings = warnings
         self.only_met = only_met
+        self.haze = haze
         self.empty = len(arrays.tree.tops) == 0
         self.turns: list[tuple[int, int] | None] = [None]
         self._geometry = geometry
@@ -148,7 +151,7 @@ class Lights:
     def _with(self, arrays: LightArrays, turns: list) -> Lights:
         parts = (self.environment, self._geometry, self._placements, self._programs)
         parts += (self._materials, self._scattered)
-        result = Lights(arrays, *parts, self.lamps, self.nodes, self.only_met, self.warnings)
+        result = Lights(arrays, *parts, self.lamps, self.nodes, self.only_met, self.haze, self.warnings)
         result.turns, result.empty = turns, result.empty if arrays is self.arrays else not turns
         return result
 
@@ -347,6 +350,7 @@ def build_lights(
     pairs = list(zip(geometry.materials, programs, strict=True))
     dark = any(m is not None and p.emissive and not sampled_sides(m, p, every) for m, p in pairs)
     scattered = np.array([not sampled_sides(m, p) for m, p in pairs], np.bool_)
+    haze = every and leaves_haze(geometry, programs)
     only_met = dark or bool(more) or environment.unsampled
     own = geometry, places, programs, material, scattered[material]
-    return Lights(arrays, environment, *own, sources, nodes, only_met, warnings)
+    return Lights(arrays, environment, *own, sources, nodes, only_met, haze, warnings)

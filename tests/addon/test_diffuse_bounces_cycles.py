@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from builders import add, empty_scene
-
-from pointmr_engine.image import exr
 
 bpy = pytest.importorskip("bpy")
+
+import blender_addon  # noqa: E402
+from benchmarks import methods  # noqa: E402
+from benchmarks.features import stage  # noqa: E402
+
 SIZE = (48, 36)
 INSIDE = np.s_[4:32, 8:40]
 WALLS = {
@@ -18,66 +20,45 @@ WALLS = {
 }
 
 
-def build(lit_by: str):
+@pytest.fixture(autouse=True, scope="module")
+def engine():
+    blender_addon.register()
+    yield
+    blender_addon.unregister()
+
+
+def build(lit_by: str) -> None:
     """The box, open to the camera, with a block of the default material in it."""
-    scene = empty_scene()
+    stage.empty_scene()
     for name, (corners, color) in WALLS.items():
-        mesh = bpy.data.meshes.new(name)
-        mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
-        material = bpy.data.materials.new(name)
-        if not material.node_tree:
-            material.use_nodes = True
-        values = material.node_tree.nodes["Principled BSDF"].inputs
-        values["Base Color"].default_value = (*color, 1.0)
-        values["Specular IOR Level"].default_value = 0.0
-        mesh.materials.append(material)
-        add(name, mesh)
+        wall = stage.principled(name, Base_Color=color, Specular_IOR_Level=0.0)
+        stage.mesh_object(name, corners, [(0, 1, 2, 3)], wall)
     bpy.ops.mesh.primitive_cube_add(size=0.7, location=(0.2, 0.2, 0.35), rotation=(0, 0, 0.4))
-    scene.world = bpy.data.worlds.new("World")
-    if not scene.world.node_tree:
-        scene.world.use_nodes = True
-    strength = scene.world.node_tree.nodes["Background"].inputs["Strength"]
-    strength.default_value = 1.0 if lit_by == "sky" else 0.0
-    if lit_by == "lamp":
-        lamp = bpy.data.lights.new("lamp", "AREA")
-        lamp.energy, lamp.size = 20.0, 0.5
-        add("lamp", lamp, location=(0, 0, 1.9))
-    scene.camera = add("Camera", bpy.data.cameras.new("Camera"), location=(0, -4.2, 1.0))
-    scene.camera.rotation_euler = (np.pi / 2, 0, 0)
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = *SIZE, 100
-    cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.max_bounces = "CPU", 512, 12
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
-    image = scene.render.image_settings
-    image.media_type = "MULTI_LAYER_IMAGE"
-    image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
-    return scene
+    if lit_by == "sky":
+        stage.world()
+    else:
+        stage.lamp("AREA", 20.0, at=(0, 0, 1.9), target=(0, 0, 0), size=0.5)
+    stage.camera(at=(0, -4.2, 1.0), target=(0, 0, 1.0))
 
 
-def picture(scene, engine: str, path) -> np.ndarray:
+def picture(path, method: str, samples: int, bounces: int) -> np.ndarray:
     """Means (7, 8, 3) of 4 x 4 pixels of the box' inside."""
-    scene.render.engine, scene.render.filepath = engine, str(path)
+    scene = bpy.context.scene
+    methods.configure(scene, methods.Method(method, samples), 1, SIZE, {"diffuse_bounces": bounces}, 2)
+    methods.write_exr_settings(scene, str(path))
     bpy.ops.render.render(write_still=True)
-    part = exr.read(path)["combined"][..., :3][INSIDE].astype(float)
+    part = methods.read_exr(str(path))[0][..., :3][INSIDE].astype(float)
     return part.reshape(7, 4, 8, 4, 3).mean((1, 3))
 
 
 @pytest.mark.parametrize("lit_by", ["lamp", "sky"])
 def test_walls_light_each_other_as_in_cycles(lit_by, tmp_path):
-    import blender_addon
-
-    blender_addon.register()
-    scene = build(lit_by)
-    own = scene.pointmr
-    scene.cycles.diffuse_bounces = 0
-    direct = picture(scene, "CYCLES", tmp_path / "direct.exr")
+    build(lit_by)
+    direct = picture(tmp_path / "direct.exr", "cycles", 512, 0)
     for bounces in (1, 3):
-        scene.cycles.diffuse_bounces = own.diffuse_bounces = bounces
-        truth = picture(scene, "CYCLES", tmp_path / "cycles.exr")
+        truth = picture(tmp_path / "cycles.exr", "cycles", 512, bounces)
         assert truth.mean() > 1.1 * direct.mean()
-        for method in ("DISTRIBUTED", "RAYTRACE"):
-            own.method, own.samples, own.raytrace_cones = method, 256, "16"
-            found = picture(scene, "POINTMR", tmp_path / "ours.exr")
+        for method, samples in (("distributed", 256), ("raytrace", 16)):
+            found = picture(tmp_path / "ours.exr", method, samples, bounces)
             assert found.mean() == pytest.approx(truth.mean(), rel=0.01)
             assert np.sqrt((((found - truth) / truth.mean((0, 1))) ** 2).mean()) < 0.02, method

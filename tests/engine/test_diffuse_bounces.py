@@ -68,6 +68,12 @@ def blocks(picture: np.ndarray) -> np.ndarray:
     return part.reshape(part.shape[0] // 4, 4, part.shape[1] // 4, 4, 3).mean((1, 3))
 
 
+def counters(scene: Scene, bounces: int) -> dict:
+    """What an image at one cone counts."""
+    settings = RenderSettings(48, 36, method="raytrace", diffuse_bounces=bounces)
+    return render(scene, settings).stats["counters"]
+
+
 def assert_as_by_random_rays(scene: Scene, rtol: float = 0.02, seeds: int = 6, **settings) -> np.ndarray:
     """Blocks of both agree as far as their noise lets them; returns those by many rays."""
     cache = Cache()
@@ -134,10 +140,7 @@ def test_bounces_stop_where_they_are_limited():
 
 def test_no_bounces_send_no_rays():
     scene = room(SUN)
-    counts = [
-        render(scene, RenderSettings(48, 36, method="raytrace", diffuse_bounces=d)).stats["counters"]
-        for d in (0, 1)
-    ]
+    counts = [counters(scene, bounces) for bounces in (0, 1)]
     assert counts[0].get("lobe_rays", 0) == 0
     assert counts[1]["lobe_rays"] > counts[1]["fragments"]
 
@@ -157,16 +160,11 @@ def test_small_fragments_ask_less_often():
         card("leaves", [(0, 0, 0)] * 4, principled("leaf", base_color=(0.7,) * 3, **MATT)),
         positions=positions, triangles=np.arange(12000, dtype=np.int32).reshape(-1, 3),
     )  # fmt: skip
-    sent = {}
-    for name, scene in (("plain", room(SUN)), ("leaves", room(SUN))):
-        if name == "leaves":
-            scene.root.meshes.append(leaves)
-        counters = render(scene, RenderSettings(48, 36, method="raytrace", diffuse_bounces=1)).stats[
-            "counters"
-        ]
-        sent[name] = counters["lobe_rays"], counters["fragments"]
-    assert sent["leaves"][1] > 2.0 * sent["plain"][1]
-    assert sent["leaves"][0] < 1.3 * sent["plain"][0]
+    full = room(SUN)
+    full.root.meshes.append(leaves)
+    plain, dense = (counters(scene, 1) for scene in (room(SUN), full))
+    assert dense["fragments"] > 2.0 * plain["fragments"]
+    assert dense["lobe_rays"] < 1.3 * plain["lobe_rays"]
 
 
 def test_materials_are_told_of_diffuse_rays():

@@ -177,13 +177,19 @@ def take_turns(light, direction, source, triangle, count, first, shares):
         row = first + np.int64(source[i])
         if triangle[i] != -1 or not has_to_share(shares, row):
             continue
-        cosine, arrived = 0.0, 0.0
-        for c in range(3):
-            cosine += np.float64(shares.normal[row, c]) * direction[i, c]
-            if shares.albedo[row, c] > DIM:
-                arrived += light[i, c] / np.float64(shares.albedo[row, c])
-        for c in range(3):
-            shares.turned[row, c] += np.float32(arrived / max(cosine, GRAZING) * direction[i, c])
+        _take_turn(light, direction, i, shares, row)
+
+
+@device
+def _take_turn(light, direction, i, shares, row):
+    """Add how what ray i brings to fragment `row` changes with its normal; others as of `take_turns`."""
+    cosine, arrived = 0.0, 0.0
+    for c in range(3):
+        cosine += np.float64(shares.normal[row, c]) * direction[i, c]
+        if shares.albedo[row, c] > DIM:
+            arrived += light[i, c] / np.float64(shares.albedo[row, c])
+    for c in range(3):
+        shares.turned[row, c] += np.float32(arrived / max(cosine, GRAZING) * direction[i, c])
 
 
 @uncounted
@@ -193,15 +199,9 @@ def take_bounced(radiance, direction, first, count, shares):
     radiance, direction (N, 3) float64. How it changes with their normals is told, too: see `take_turns`.
     """
     for k in range(count):
-        row = first + k
-        cosine, arrived = 0.0, 0.0
         for c in range(3):
-            cosine += np.float64(shares.normal[row, c]) * direction[k, c]
-            shares.light[row, c] += np.float32(radiance[k, c])
-            if shares.albedo[row, c] > DIM:
-                arrived += radiance[k, c] / np.float64(shares.albedo[row, c])
-        for c in range(3):
-            shares.turned[row, c] += np.float32(arrived / max(cosine, GRAZING) * direction[k, c])
+            shares.light[first + k, c] += np.float32(radiance[k, c])
+        _take_turn(radiance, direction, k, shares, first + k)
 
 
 @device
