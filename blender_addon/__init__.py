@@ -10,9 +10,9 @@ from __future__ import annotations
 
 def _modules() -> tuple:
     # late, so that the package's parts that need no Blender (the command line's help) load without bpy
-    from . import ahead, engine, instancer, preferences, properties, ui
+    from . import ahead, engine, instancer, operators, preferences, properties, ui
 
-    return preferences, properties, instancer, engine, ui, ahead
+    return preferences, properties, operators, instancer, engine, ui, ahead
 
 
 _registered: list = []

@@ -61,6 +61,11 @@ def build_parser() -> argparse.ArgumentParser:
     add("--camera", metavar="NAME", help="object name of the camera to render from")
     add("--seed", type=_natural, metavar="N", help="seed of the random numbers")
     add("--threads", type=_natural, metavar="N", help="threads of each process; 0: one per core")
+    add(
+        "--as-cycles",
+        action="store_true",
+        help="bounces, caustics, clamping, pixel filter, exposure and seed as the file has them for Cycles",
+    )
     add("--png", action="store_true", help="write a PNG beside each EXR, in the scene's own view transform")
     add("--half", action="store_true", help="colours as half floats in EXR files")
     add(

@@ -45,6 +45,7 @@ class Options:
     camera: str | None = None
     seed: int | None = None
     threads: int | None = None
+    as_cycles: bool = False  # what PointMR shares with Cycles' settings, as those have it
     scripts: bool = False
     compositing: bool = False
     png: bool = False
@@ -173,6 +174,13 @@ def apply_options(scene, options: Options) -> None:
     scene.render.use_sequencer = False
     scene.render.use_compositing = options.compositing
     own = scene.pointmr
+    if options.as_cycles:
+        from .operators import take_from_cycles
+
+        try:
+            take_from_cycles(scene)
+        except ValueError as error:
+            raise CommandError(str(error)) from error
     if options.method is not None:
         set_property(own, "method", options.method)
     if options.samples is not None:

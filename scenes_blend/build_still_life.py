@@ -2,7 +2,7 @@
 
     .venv/bin/python scenes_blend/build_still_life.py [FOLDER]
 
-The engine has no diffuse bounces yet: six panes of soft light, a dim fill and the world light the scene.
+Light does not bounce between diffuse surfaces here: six panes of soft light, a dim fill and the world light the scene.
 """
 
 from __future__ import annotations

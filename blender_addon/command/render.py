@@ -39,6 +39,7 @@ def _options(a: argparse.Namespace) -> Options:
         "camera",
         "seed",
         "threads",
+        "as_cycles",
         "scripts",
         "compositing",
         "png",
@@ -137,7 +138,8 @@ def render_in_processes(a: argparse.Namespace, frames, several: bool, report: Re
         arguments += ["--size", f"{a.size[0]}x{a.size[1]}"]
     threads = a.threads if a.threads is not None else max((os.cpu_count() or 1) // a.jobs, 1)
     arguments += ["--threads", str(threads)]
-    arguments += [f"--{name}" for name in ("png", "half", "compositing", "scripts") if getattr(a, name)]
+    switches = ("as_cycles", "png", "half", "compositing", "scripts")
+    arguments += [f"--{name.replace('_', '-')}" for name in switches if getattr(a, name)]
     for name, value in _own(a).items():
         option = option_of(name)
         arguments += (

@@ -66,7 +66,7 @@ class POINTMR_RENDER_PT_light_paths(PointMRPanel, Panel):
         return super().poll(context) and context.scene.pointmr.method != "FORWARD"  # which follows no rays
 
     def draw(self, context):
-        pass
+        self.layout.operator("pointmr.take_from_cycles", icon="IMPORT")
 
 
 class POINTMR_RENDER_PT_light_paths_max_bounces(PointMRPanel, Panel):

@@ -251,6 +251,16 @@ def test_options_of_forward_mapping_reach_the_engine(blend, tmp_path, asked):
     )
 
 
+def test_what_cycles_would_do_is_asked_of_the_engine(blend, tmp_path, asked):
+    """--as-cycles takes the file's bounces; a seed that is typed counts, too."""
+    start = ["render", str(blend), "-o", str(tmp_path / "a.exr"), "--size", "24x16"]
+    assert main(start) == main([*start, "--as-cycles", "--seed", "3"]) == 0
+    plain, taken = asked
+    assert (plain.diffuse_bounces, taken.diffuse_bounces) == (0, bpy.context.scene.cycles.diffuse_bounces)
+    assert taken.diffuse_bounces > 0 and taken.seed == 3
+    assert taken.clamp_indirect == bpy.context.scene.cycles.sample_clamp_indirect > 0
+
+
 def test_a_batchs_processes_get_all_options(blend, tmp_path, monkeypatch):
     commands = []
     monkeypatch.setattr(
@@ -258,11 +268,11 @@ def test_a_batchs_processes_get_all_options(blend, tmp_path, monkeypatch):
     )
     typed = ["--forward-sampling", "dynamic", "--no-forward-shadows", "--forward-backface-culling"]
     start = ["render", str(blend), "-o", str(tmp_path / "a.exr"), "--method", "forward", "-f", "1-2"]
-    assert main([*start, *typed, "--jobs", "2"]) == 0
+    assert main([*start, *typed, "--as-cycles", "--jobs", "2"]) == 0
     [command] = commands
     worker = build_parser().parse_args(command[command.index("render") :])
     given = {name: value for name, value in vars(worker).items() if "forward_" in name and value is not None}
-    assert given == {
+    assert worker.as_cycles and given == {
         "forward_sampling": "dynamic",
         "forward_shadows": False,
         "forward_backface_culling": True,

@@ -204,6 +204,45 @@ def test_only_kernels_of_old_versions_are_cleared_away(monkeypatch, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == [*names[2:], "samples"]
 
 
+def test_light_paths_are_taken_from_cycles():
+    """The operator; what it takes reaches the engine."""
+    from blender_addon import sync
+    from blender_addon.operators import SHARED_WITH_CYCLES, take_from_cycles
+
+    scene = bpy.context.scene
+    own, cycles = scene.pointmr, scene.cycles
+    cycles.diffuse_bounces, cycles.max_bounces, cycles.caustics_refractive = 3, 7, False
+    cycles.pixel_filter_type, cycles.sample_clamp_indirect, cycles.seed = "GAUSSIAN", 5.0, 11
+    samples, cones = own.samples, own.raytrace_cones
+    assert bpy.ops.pointmr.take_from_cycles() == {"FINISHED"}
+    assert all(getattr(own, name) == getattr(cycles, name) for name in SHARED_WITH_CYCLES)
+    assert (own.samples, own.raytrace_cones) == (samples, cones)
+    settings = sync.settings_from_blender(scene)
+    assert (settings.diffuse_bounces, settings.max_bounces, settings.caustics_refractive) == (3, 7, False)
+    assert (settings.pixel_filter, settings.clamp_indirect, settings.seed) == ("gaussian", 5.0, 11)
+    assert take_from_cycles(scene) == []
+    cycles.film_exposure = 2.0
+    assert take_from_cycles(scene) == ["film_exposure"] and own.film_exposure == 2.0
+
+
+def test_all_that_cycles_names_alike_is_taken():
+    """Whoever adds a property that Cycles has under the same name says here or there whether it is taken."""
+    from blender_addon.operators import SHARED_WITH_CYCLES
+
+    scene = bpy.context.scene
+    alike = {n for n in scene.pointmr.bl_rna.properties.keys() if n in scene.cycles.bl_rna.properties}
+    assert alike - {"name", "rna_type"} == {*SHARED_WITH_CYCLES, "samples", "preview_samples"}
+
+
+def test_without_cycles_there_is_nothing_to_take():
+    from blender_addon.operators import POINTMR_OT_take_from_cycles, take_from_cycles
+
+    scene = SimpleNamespace(name="Shot", pointmr=bpy.context.scene.pointmr)
+    assert not POINTMR_OT_take_from_cycles.poll(SimpleNamespace(scene=scene))
+    with pytest.raises(ValueError, match="'Shot' has no Cycles settings"):
+        take_from_cycles(scene)
+
+
 def test_panels_follow_the_method():
     """Forward mapping's panels show for it alone, raytracing's for it alone; those of rays for all but the former."""
     from blender_addon.ui import forward, raytrace, render
