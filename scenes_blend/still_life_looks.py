@@ -67,7 +67,7 @@ def linen_image(size: int = 512) -> np.ndarray:
 
 
 def glass(name, color=(1, 1, 1), roughness=0.0, ior=1.5, shadow=(0.9, 0.9, 0.9)):
-    """Glass that lets tinted light through to shadow rays, as the scene has no diffuse bounces, and hence no caustics of them."""
+    """Glass that lets tinted light through to shadow rays, as caustics by way of diffuse bounces are left out."""
 
     def build(n):
         bsdf = n(
