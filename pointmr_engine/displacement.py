@@ -1,8 +1,8 @@
 """True displacement: vertices moved by their materials, before hierarchies are built over them.
 
 What Cycles does without adaptive subdivision, and of meshes alone: each vertex moves once, by the material of its first
-triangle, as far as the graph says there. So detail is what the mesh has vertices for; a Subdivision Surface modifier
-gives it more.
+triangle, as far as the graph says there, along its own normal, even where its triangles are shaded flat. So detail is
+what the mesh has vertices for; a Subdivision Surface modifier gives it more.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
     """(the geometry with displaced meshes in their parts' places, warnings); itself where nothing is displaced.
 
     Textures are read unfiltered, in the mesh's own space: "world" and "object" displacement are the same there.
-    Materials of method "DISPLACEMENT" shade the moved surface, those of "BOTH" the resting one with their displacement
-    as bump.
+    Materials of method "DISPLACEMENT" shade the moved surface, those of "BOTH" the resting one, which is smooth if its
+    mesh is flat, with their displacement as bump.
     """
     programs: dict[int, Displacement] = {}
     warnings: list[str] = []
@@ -59,11 +59,15 @@ def _displace(geometry: Geometry, p: int, mesh: Mesh, programs: dict, warnings: 
         np.ascontiguousarray(mesh.triangles, np.int64).ravel()[corners], return_index=True
     )
     corner = corners[first]  # of each vertex, the first in a triangle that moves it
+    upright = mesh.normals
+    if upright is None or upright.ndim == 3:  # triangles about a vertex have normals of their own
+        upright = _vertex_normals(mesh)
     offset = np.zeros((len(vertices), 3))
     for slot, material in enumerate(mesh.materials):
         rows = np.flatnonzero(slots[corner // 3] == slot)
         if id(material) in programs and len(rows):
-            offset[rows] = _offsets(geometry, p, corner[rows], programs[id(material)])
+            up = upright[vertices[rows]]
+            offset[rows] = _offsets(geometry, p, corner[rows], up, programs[id(material)])
     lost = ~np.isfinite(offset).all(1)
     if lost.any():
         warnings.append(
@@ -73,7 +77,7 @@ def _displace(geometry: Geometry, p: int, mesh: Mesh, programs: dict, warnings: 
     positions = mesh.positions.copy()
     positions[vertices] += offset.astype(positions.dtype)
     resting = np.array([m is None or not m.shades_moved for m in mesh.materials])[slots]
-    return positions, _normals(mesh, positions, resting)
+    return positions, _normals(mesh, positions, resting, upright)
 
 
 def _generated(geometry: Geometry, p: int, mesh: Mesh) -> Attribute:
@@ -83,32 +87,36 @@ def _generated(geometry: Geometry, p: int, mesh: Mesh) -> Attribute:
     return Attribute(((mesh.positions - lower) / size).astype(np.float32), "vertex")
 
 
-def _offsets(geometry: Geometry, p: int, corner: np.ndarray, program: Displacement) -> np.ndarray:
-    """(n, 3) of the vertices at corners (n,) of part p, 3 to a triangle."""
+def _offsets(
+    geometry: Geometry, p: int, corner: np.ndarray, normal: np.ndarray, program: Displacement
+) -> np.ndarray:
+    """(n, 3) of the vertices at corners (n,) of part p, 3 to a triangle, whose normals are (n, 3)."""
     n = len(corner)
     triangle = corner // 3 + int(geometry.tables.first_triangle[p])
     points = points_at(
         geometry, np.full(n, p, np.int32), triangle.astype(np.int32), (corner % 3 == 1).astype(np.float32),
         (corner % 3 == 2).astype(np.float32), np.broadcast_to(np.eye(4)[:3], (n, 3, 4)), program.needs,
     )  # fmt: skip
+    if points.normal is not None:
+        points.normal = normal.astype(np.float32)
     return program.offset(points)
 
 
-def _normals(mesh: Mesh, positions: np.ndarray, resting: np.ndarray) -> np.ndarray | None:
+def _normals(
+    mesh: Mesh, positions: np.ndarray, resting: np.ndarray, upright: np.ndarray
+) -> np.ndarray | None:
     """Normals of the moved mesh, in the layout of the mesh's own, or per corner where that cannot hold them.
 
-    resting (T,): triangles that keep the normals that they had.
+    resting (T,): triangles that keep the normals that they had; of a flat mesh these are `upright` (V, 3).
     """
     old = mesh.normals
-    if old is None and not resting.any():
-        return None  # flat
+    kept = upright if old is None else old
     if resting.all():
-        return _corners(mesh, mesh.positions, old) if old is None else old
+        return kept
     new = None if old is None else _smooth(mesh, positions, old)
     if not resting.any():
         return new
-    kept = _corners(mesh, mesh.positions, old)
-    return np.where(resting[:, None, None], kept, _corners(mesh, positions, new))
+    return np.where(resting[:, None, None], _corners(mesh, positions, kept), _corners(mesh, positions, new))
 
 
 def _corners(mesh: Mesh, positions: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
@@ -128,17 +136,35 @@ def _smooth(mesh: Mesh, positions: np.ndarray, old: np.ndarray) -> np.ndarray:
         count = len(kinds)
     faces = np.repeat(_of_triangles(mesh, positions), 3, 0)
     total = np.stack([np.bincount(group, faces[:, c], count) for c in range(3)], 1)
-    length = np.sqrt((total * total).sum(1, keepdims=True))
-    mean = np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
+    mean = _unit(total)
     found = (mean if old.ndim == 2 else mean[group].reshape(old.shape)).astype(np.float32)
     unknown = (found == 0.0).all(-1)
     found[unknown] = old[unknown]  # of vertices without triangles, and where these cancel
     return found
 
 
+def _vertex_normals(mesh: Mesh) -> np.ndarray:
+    """(V, 3) float32: means of the corners' normals about each vertex, weighted by their angles, as Blender's of flat
+    triangles; up where there are none.
+    """
+    corners = mesh.positions[mesh.triangles].astype(np.float64)
+    leave, arrive = (_unit(np.roll(corners, -k, 1) - corners) for k in (1, 2))
+    angle = np.arccos(np.clip((leave * arrive).sum(-1), -1.0, 1.0))
+    weighted = (_corners(mesh, mesh.positions, mesh.normals) * angle[..., None]).reshape(-1, 3)
+    vertex = mesh.triangles.ravel()
+    total = np.stack([np.bincount(vertex, weighted[:, c], len(mesh.positions)) for c in range(3)], 1)
+    normals = _unit(total).astype(np.float32)
+    normals[(normals == 0.0).all(1)] = (0.0, 0.0, 1.0)
+    return normals
+
+
 def _of_triangles(mesh: Mesh, positions: np.ndarray) -> np.ndarray:
     """(T, 3) float64 unit normals; 0 of what has no area."""
     a, b, c = (positions[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
-    n = np.cross(b - a, c - a)
-    length = np.sqrt((n * n).sum(1, keepdims=True))
-    return np.divide(n, length, out=np.zeros_like(n), where=length > 0.0)
+    return _unit(np.cross(b - a, c - a))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of length 1; 0 of those that have none."""
+    length = np.sqrt((vectors * vectors).sum(-1, keepdims=True))
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)

@@ -1,0 +1,65 @@
+"""Displaced meshes and their normals, in images beside those of Cycles."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+import blender_addon  # noqa: E402
+from benchmarks import methods  # noqa: E402
+from benchmarks.features import stage  # noqa: E402
+
+SIZE = (64, 64)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def engine():
+    blender_addon.register()
+    yield
+    blender_addon.unregister()
+
+
+def showing_normals(method: str, coordinates: str | None) -> bpy.types.Material:
+    """Shines in the colours of its normals; as high as waves of a texture coordinate, or evenly raised."""
+
+    def surface(tree):
+        normal = stage.node(tree, "ShaderNodeNewGeometry").outputs["Normal"]
+        half = {0: normal, 1: (0.5, 0.5, 0.5), 2: (0.5, 0.5, 0.5)}
+        colour = stage.node(tree, "ShaderNodeVectorMath", half, operation="MULTIPLY_ADD").outputs[0]
+        return stage.node(tree, "ShaderNodeEmission", {"Color": colour}).outputs[0]
+
+    made = stage.material("normals", surface)
+    made.displacement_method = method
+    tree = made.node_tree
+    height = 1.0
+    if coordinates is not None:
+        at = stage.node(tree, "ShaderNodeTexCoord").outputs[coordinates]
+        height = stage.node(tree, "ShaderNodeTexWave", {"Vector": at, "Scale": 0.5}).outputs["Fac"]
+    moves = stage.node(tree, "ShaderNodeDisplacement", {"Height": height, "Scale": 0.4}).outputs[0]
+    tree.links.new(moves, tree.get_output_node("ALL").inputs["Displacement"])
+    return made
+
+
+def image(path, method: str) -> np.ndarray:
+    methods.configure(bpy.context.scene, methods.Method(method, 16), 1, SIZE, {}, 2)
+    methods.write_exr_settings(bpy.context.scene, str(path))
+    bpy.ops.render.render(write_still=True)
+    return methods.read_exr(str(path))[0][..., :3].astype(float)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("coordinates", [None, "Generated"])
+@pytest.mark.parametrize("method", ["DISPLACEMENT", "BOTH"])
+def test_displaced_boxes_are_those_of_cycles(tmp_path, method, coordinates, smooth):
+    """Corners move along their own normals. What is displaced and bumped is shaded smooth, even if its mesh is flat."""
+    stage.empty_scene()
+    bpy.ops.mesh.primitive_cube_add()
+    box = bpy.context.object
+    box.data.materials.append(showing_normals(method, coordinates))
+    for side in box.data.polygons:
+        side.use_smooth = smooth
+    stage.camera(at=(3, -5, 3.5), target=(0, 0, 0))
+    theirs, ours = image(tmp_path / "cycles.exr", "cycles"), image(tmp_path / "ours.exr", "distributed")
+    assert theirs.max() > 0.5 and theirs.std() > 0.1
+    difference = np.abs(ours - theirs).max(-1)
+    assert difference.mean() < 0.01 and np.quantile(difference, 0.95) < 0.05
