@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pointmr_engine.scene.errors import SceneError
 from pointmr_engine.scene.graph import Graph, Link, Node
@@ -39,6 +41,27 @@ def test_what_lies_beyond_the_edge(extension, expected):
     found = Texture(image).look_up(np.array([[-0.5 / 7, 0.1]]), NO_FOOTPRINT, extension)[0]
     want = np.zeros(4) if expected is None else image.pixels[0, expected]
     assert found == pytest.approx(want, abs=1e-6)
+
+
+@given(st.sampled_from(["EXTEND", "CLIP"]), *[st.floats(-2.0, 3.0)] * 2, st.floats(0.5, 30.0), st.booleans())
+def test_wide_footprints_know_what_lies_beyond_the_edge(extension, u, v, side, straight):
+    """The mean over the footprint: of what is within by coarse levels, and of the edge's texels, or nothing, beyond."""
+    pixels = picture(64, 64).pixels
+    pixels[1:-1, 1:-1, :3] = (0.9, 0.2, 0.1)  # within the border's random colours
+    pixels[..., 3] = 1.0 if not straight else 0.25
+    texture = Texture(Image("framed", pixels, "Linear", "STRAIGHT" if straight else "NONE"))
+    along = (np.arange(200) + 0.5) / 200 - 0.5
+    uv = np.stack(np.meshgrid(u + side * along, v + side * along), -1).reshape(-1, 2)
+    points = texture.look_up(uv, NO_FOOTPRINT, extension, unassociate=straight).astype(float)
+    alpha = points[:, 3:] if straight else np.ones((len(points), 1))
+    expected = np.append((points[:, :3] * alpha).sum(0) / max(alpha.sum(), 1e-9), points[:, 3].mean())
+    found = texture.look_up(
+        np.array([[u, v]]), np.full(1, side, np.float32), extension, unassociate=straight
+    )[0]
+    if straight:  # colours that weigh nothing
+        expected[:3] *= expected[3] > 1e-3
+        found[:3] *= expected[3] > 1e-3
+    assert found == pytest.approx(expected, abs=0.1)
 
 
 def test_closest_takes_one_texel():

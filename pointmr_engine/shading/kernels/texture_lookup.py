@@ -12,6 +12,7 @@ REPEAT, EXTEND, CLIP, MIRROR = range(4)
 # bits of `flags`
 CLOSEST, SRGB, UNASSOCIATE, CUBIC = 1, 2, 4, 8
 AHEAD = 4  # points: so long before one's texels are read they are asked for
+ALONG = 8  # looks that stand for a long stretch of texels
 
 
 @uncounted
@@ -162,6 +163,73 @@ def _ask_for(texels, levels, width, u, v):
             prefetch_row(texels, levels[k, 0] + 4 * (min(max(j, 0), rows - 1) * across + max(x, 0)))
 
 
+@uncounted
+def lookup_filtered(texels, levels, width, u, v, extension, flags, scale, coarse, out):
+    """RGBA at (u, v), averaged over a square of `width` texels of the finest level, into out (4,); coarse: scratch."""
+    last = levels.shape[0] - 1
+    level = min(np.log2(width) if width > 1.0 else 0.0, float(last))
+    base = int(level)
+    lookup_level(texels, levels, base, u, v, extension, flags, scale, out)
+    f = level - base
+    if f > 0.0 and base < last:
+        lookup_level(texels, levels, base + 1, u, v, extension, flags, scale, coarse)
+        share = f
+        if flags & UNASSOCIATE:  # colours count by their alpha: where there is none, there is no colour
+            total = (1.0 - f) * out[3] + f * coarse[3]
+            share = f * coarse[3] / total if total > 0.0 else f
+        for c in range(3):
+            out[c] += share * (coarse[c] - out[c])
+        out[3] += f * (coarse[3] - out[3])
+
+
+@uncounted
+def parts_of(x, side):
+    """Shares of an interval of length `side` about x that lie below 0 and in 0..1; the latter's middle and length."""
+    low, high = x - 0.5 * side, x + 0.5 * side
+    first, final = max(low, 0.0), min(high, 1.0)
+    within = max(final - first, 0.0)
+    before = max(min(high, 0.0) - low, 0.0)
+    return before / side, within / side, 0.5 * (first + final), within
+
+
+@uncounted
+def lookup_bounded(texels, levels, side, u, v, extension, flags, scale, coarse, found, out):
+    """As `lookup_filtered` over a square of `side` (in units of uv), of an image that is not repeated.
+
+    Coarse levels know what lies within the image: beyond it there is nothing, or the finest level's edge. coarse,
+    found: scratch.
+    """
+    before_u, within_u, middle_u, side_u = parts_of(u, side)
+    before_v, within_v, middle_v, side_v = parts_of(v, side)
+    texels_across = np.sqrt(float(levels[0, 1]) * float(levels[0, 2]))
+    for c in range(4):
+        out[c] = 0.0
+    for i in range(3):
+        share_u = before_u if i == 0 else (within_u if i == 1 else 1.0 - before_u - within_u)
+        for j in range(3):
+            share = share_u * (before_v if j == 0 else (within_v if j == 1 else 1.0 - before_v - within_v))
+            inside = i == 1 and j == 1
+            if share < 1e-6 or (extension == CLIP and not inside):
+                continue
+            wide, along_u, along_v = 0.0, ALONG, ALONG  # the finest level, along an edge
+            if inside:  # squares in a row
+                along_u = min(int(np.ceil(side_u / side_v)), ALONG) if side_v > 0.0 else ALONG
+                along_v = min(int(np.ceil(side_v / side_u)), ALONG) if side_u > 0.0 else ALONG
+                wide = max(side_u / along_u, side_v / along_v) * texels_across
+            along_u, along_v = along_u if i == 1 else 1, along_v if j == 1 else 1
+            weight = share / (along_u * along_v)
+            for k in range(along_u * along_v):
+                x = middle_u + ((k % along_u + 0.5) / along_u - 0.5) * side_u if i == 1 else 0.5 * i
+                y = middle_v + ((k // along_u + 0.5) / along_v - 0.5) * side_v if j == 1 else 0.5 * j
+                lookup_filtered(texels, levels, wide, x, y, EXTEND, flags, scale, coarse, found)
+                for c in range(3):
+                    out[c] += weight * (found[c] * found[3] if flags & UNASSOCIATE else found[c])
+                out[3] += weight * found[3]
+    if flags & UNASSOCIATE and out[3] > 0.0:
+        for c in range(3):
+            out[c] /= out[3]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
     """RGBA at uv (n, 2) float32 into out (n, 4) float32.
@@ -171,10 +239,11 @@ def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
     0..1. The finest level is decoded and, with UNASSOCIATE, divided by alpha after its interpolation, as in Cycles.
     """
     n = uv.shape[0]
-    last = levels.shape[0] - 1
     texels_across = np.sqrt(float(levels[0, 1]) * float(levels[0, 2]))
-    fine = np.empty(4)
+    bounded = extension == EXTEND or extension == CLIP
+    found = np.empty(4)
     coarse = np.empty(4)
+    part = np.empty(4)
     for i in range(n):
         if i + AHEAD < n:
             j = i + AHEAD
@@ -185,20 +254,11 @@ def lookup(texels, levels, uv, footprint, extension, flags, scale, out):
             for c in range(4):
                 out[i, c] = 0.0
             continue
-        width = footprint[i if footprint.shape[0] > 1 else 0] * texels_across
-        level = np.log2(width) if width > 1.0 else 0.0
-        level = min(level, float(last))
-        base = int(level)
-        lookup_level(texels, levels, base, u, v, extension, flags, scale, fine)
-        f = level - base
-        if f > 0.0 and base < last:
-            lookup_level(texels, levels, base + 1, u, v, extension, flags, scale, coarse)
-            share = f
-            if flags & UNASSOCIATE:  # colours count by their alpha: where there is none, there is no colour
-                total = (1.0 - f) * fine[3] + f * coarse[3]
-                share = f * coarse[3] / total if total > 0.0 else f
-            for c in range(3):
-                fine[c] += share * (coarse[c] - fine[c])
-            fine[3] += f * (coarse[3] - fine[3])
+        side = float(footprint[i if footprint.shape[0] > 1 else 0])
+        width = side * texels_across
+        if bounded and width > 1.0:
+            lookup_bounded(texels, levels, side, u, v, extension, flags, scale, coarse, part, found)
+        else:
+            lookup_filtered(texels, levels, width, u, v, extension, flags, scale, coarse, found)
         for c in range(4):
-            out[i, c] = fine[c]
+            out[i, c] = found[c]
