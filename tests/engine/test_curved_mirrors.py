@@ -27,7 +27,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 @uncounted
 def open_one(cones, out, shape, own, normal, incoming, d, eta):
-    return open_curved(cones, np.int64(0), out, shape, np.int64(0), own, normal, incoming, d, eta)
+    return open_curved(cones, np.int64(0), out, shape, np.int64(0), own, normal, normal, incoming, d, eta)
 
 
 @uncounted

@@ -49,12 +49,12 @@ def _along(shape, k, a, b):
 
 
 @device
-def open_curved(cones, m, out, shape, k, own, normal, incoming, d, eta):
+def open_curved(cones, m, out, shape, k, own, normal, outward, incoming, d, eta):
     """The cone of path m: its footprint behind the surface; False where that is too wide for one, or at a rim.
 
-    shape (N, 6): curvature.shape_operator, of which row k counts; own: own_variance; incoming: unit vector to where the
-    path came from; d: the direction in which it leaves; eta: 0 of a mirror, else the index of refraction before over
-    that after.
+    shape (N, 6): curvature.shape_operator, of which row k counts; own: own_variance; outward: the normal of the
+    surface itself; incoming: unit vector to where the path came from; d: the direction in which it leaves; eta: 0 of a
+    mirror, else the index of refraction before over that after.
     """
     cosine = max(dot(normal, incoming), 1e-3)
     plane = perpendicular(-incoming[0], -incoming[1], -incoming[2], normal[0], normal[1], normal[2])
@@ -91,5 +91,5 @@ def open_curved(cones, m, out, shape, k, own, normal, incoming, d, eta):
     # sub-rays beside each other on coarse triangles would start below them: mirrors that bend need hardly any place
     if eta == 0.0 and widest > BENT * slope:
         start_x = start_y = 0.0
-    begin_cone(cones, m, out, normal, start_x, start_y, spread_x, spread_y, BEFORE * widest)
+    begin_cone(cones, m, out, normal, outward, start_x, start_y, spread_x, spread_y, BEFORE * widest)
     return True

@@ -24,10 +24,12 @@ from pointmr_engine.raytracing.path_arrays import (
 )
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
+from pointmr_engine.shading.bsdf.vector import dot, row3
 
 # Paths.bsdf_pdf of rays whose lights have been sampled: what no sample can find counts in full, all else not at all
 BY_SAMPLES = 1e-9
 WIDEST = 3.0  # tangent of a cone's half angle at most
+FARTHEST = 10.0  # half widths: a cone that would leave its surface farther off begins at a point
 LOBE_PLACES = 0x10B0  # first dimension set of the directions of rays within lobes
 
 
@@ -137,8 +139,12 @@ def send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind,
 
 
 @device
-def open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
-    """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it; grain: of its cells."""
+def open_cone(cones, m, out, wide, grain, across, d, normal, outward):
+    """The cone of path m: slopes `wide` in the plane of incidence, wide * across beside it; grain: of its cells.
+
+    d: its axis; normal: of the lobe; outward: of the surface itself.
+    """
+    (dx, dy, dz), (ix, iy, iz) = d, normal
     set_axes(cones, m, ix, iy, iz, dx, dy, dz)
     start, spread = 0.5 * out.state.width[m], 0.5 * out.state.spread[m]
     if wide > 0.0:
@@ -160,7 +166,8 @@ def open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
         cones,
         m,
         out,
-        (ix, iy, iz),
+        normal,
+        outward,
         start,
         start,
         min(wide + spread, WIDEST),
@@ -170,20 +177,37 @@ def open_cone(cones, m, out, wide, grain, across, dx, dy, dz, ix, iy, iz):
 
 
 @device
-def begin_cone(cones, m, out, normal, start_x, start_y, spread_x, spread_y, bent):
+def _clear_of(axes, start_x, start_y, spread_x, spread_y, normal):
+    """How far along its axis all sub-rays of a cone that begins across a plane have left it.
+
+    inf: nowhere, or of a cone that begins at a point.
+    """
+    x, y = abs(dot(normal, row3(axes, 0))), abs(dot(normal, row3(axes, 1)))
+    leaves = abs(dot(normal, row3(axes, 2))) - x * spread_x - y * spread_y
+    deep = x * start_x + y * start_y
+    return deep / leaves if deep < FARTHEST * max(start_x, start_y) * leaves else math.inf
+
+
+@device
+def begin_cone(cones, m, out, normal, outward, start_x, start_y, spread_x, spread_y, bent):
     """The cone of path m, whose axes are set, begins where the path does, on a surface of that normal.
 
-    Half widths at its start and what they gain per metre; bent: how far the surface leaves its plane within them, per
-    metre of half width.
+    outward: the normal of the surface itself, from which bumps and normal maps turn the other away. Half widths at its
+    start and what they gain per metre; bent: how far the surface leaves its plane within them, per metre of half width.
     """
-    d = cones.axes[m, 2]
     # a plane across the axis would begin before the surface on one side, and below it on the other
-    steep = abs(normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2])
-    slope = math.sqrt(max(1.0 - steep * steep, 0.0)) / max(steep, 0.1)
+    clear = max(
+        _clear_of(cones.axes[m], start_x, start_y, abs(spread_x), abs(spread_y), normal),
+        _clear_of(cones.axes[m], start_x, start_y, abs(spread_x), abs(spread_y), outward),
+    )
+    if start_x > 0.0 or start_y > 0.0:
+        clear += max(start_x, start_y) * bent
+    if clear == math.inf:
+        start_x = start_y = clear = 0.0
     for a in range(3):
         cones.origin[m, a] = out.rays.origin[m, a]
     cones.start[m, 0], cones.start[m, 1] = start_x, start_y
     cones.spread[m, 0], cones.spread[m, 1] = spread_x, spread_y
-    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], max(start_x, start_y) * (slope + bent))
+    cones.t_min[m] = max(out.rays.t_min[m], NEAR * out.state.width[m], clear)
     cones.t_max[m] = out.rays.t_max[m]
     cones.visibility[m] = out.rays.visibility[m]

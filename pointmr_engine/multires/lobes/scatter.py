@@ -305,13 +305,13 @@ def _open_cones(
         out.bsdf_pdf[m] = pdf
         out.state.spread[m] = paths.state.spread[k]
         if part == 0:
-            even = own >= 0.0 and open_curved(record.cones, m, out, shape, k, own, axis, wi, d, eta)
+            even = own >= 0.0 and open_curved(record.cones, m, out, shape, k, own, axis, outward, wi, d, eta)
             parts = 2 if alpha > 0.0 and not (small or alone or even) and _largest(w) > STRONG else 1
             wide = grain = min(wide * (CORE if parts == 2 else WIDE), 0.5 * WIDEST)
         else:
             wide *= (REST_OF_GAUSSIAN if beckmann else REST) / CORE
         if not even:
-            open_cone(record.cones, m, out, wide, grain, across, d[0], d[1], d[2], axis[0], axis[1], axis[2])
+            open_cone(record.cones, m, out, wide, grain, across, d, axis, outward)
         record.alpha[m], record.beckmann[m], record.even[m] = alpha, beckmann, even
         record.part[m] = part + 1 if parts == 2 else 0
         record.ray[m], record.blur[m] = small, 0.0
