@@ -46,8 +46,9 @@ def test_what_lies_beyond_the_edge(extension, expected):
 @given(st.sampled_from(["EXTEND", "CLIP"]), *[st.floats(-2.0, 3.0)] * 2, st.floats(0.5, 30.0), st.booleans())
 def test_wide_footprints_know_what_lies_beyond_the_edge(extension, u, v, side, straight):
     """The mean over the footprint: of what is within by coarse levels, and of the edge's texels, or nothing, beyond."""
-    pixels = picture(64, 64).pixels
-    pixels[1:-1, 1:-1, :3] = (0.9, 0.2, 0.1)  # within the border's random colours
+    pixels = np.full((64, 64, 4), (0.1, 0.8, 0.5, 1.0), np.float32)
+    pixels[1:-1, 1:-1, :3] = (0.9, 0.2, 0.1)  # within a border of one texel
+    pixels[:, -1, :3] = (0.4, 0.4, 1.0)
     pixels[..., 3] = 1.0 if not straight else 0.25
     texture = Texture(Image("framed", pixels, "Linear", "STRAIGHT" if straight else "NONE"))
     along = (np.arange(200) + 0.5) / 200 - 0.5
