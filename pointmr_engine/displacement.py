@@ -13,6 +13,7 @@ import numpy as np
 
 from pointmr_engine.hierarchy.geometry import Geometry, with_parts
 from pointmr_engine.raytracing.surface import points_at
+from pointmr_engine.scene.material import RESTING
 from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 from pointmr_engine.shading.displacement import Displacement
 
@@ -34,6 +35,9 @@ def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
         return geometry, warnings
     parts, made = list(geometry.parts), {}
     for p, mesh in enumerate(parts):
+        if any(m is not None and m.reads_resting for m in mesh.materials):
+            at_rest = Attribute(mesh.positions.astype(np.float32, copy=False), "vertex")
+            mesh = parts[p] = replace(mesh, attributes=mesh.attributes | {RESTING: at_rest})
         if mesh.displaceable and any(id(m) in programs for m in mesh.materials):
             # parts that share arrays and materials go on sharing
             key = (

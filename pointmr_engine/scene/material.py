@@ -6,6 +6,9 @@ from dataclasses import dataclass, field, replace
 
 from pointmr_engine.scene.graph import Graph, Link, Node
 
+# attribute (V, 3) per vertex: where vertices lay before they were displaced, which bumps of displacements read
+RESTING = ".resting"
+
 
 @dataclass(eq=False)
 class Material:
@@ -34,17 +37,52 @@ class Material:
 
     @property
     def surface_graph(self) -> Graph:
-        """The graph that shades: its displacement is no bump where vertices have been moved by it.
+        """The graph that shades: its displacement is no bump where vertices have been moved by it alone.
 
-        Its Object Info nodes know the material's index.
+        Where it is both, the bump is that of the resting mesh. Object Info nodes know the material's index.
         """
         nodes = dict(self.graph.nodes)
         for key, node in nodes.items():
             if node.kind == "object_info":
                 nodes[key] = replace(node, params=node.params | {"material_index": self.pass_index})
-        return replace(
-            self.graph, nodes=nodes, displacement=None if self.shades_moved else self.graph.displacement
-        )
+        if self.shades_moved:
+            return replace(self.graph, nodes=nodes, displacement=None)
+        graph = replace(self.graph, nodes=nodes)
+        return _at_rest(graph) if self.moves_vertices else graph
+
+    @property
+    def reads_resting(self) -> bool:
+        """Whether its surface reads the attribute RESTING."""
+        return self.moves_vertices and RESTING in self.surface_graph.nodes
+
+
+def _at_rest(graph: Graph) -> Graph:
+    """The graph; a displacement that reads the object's coordinates has nodes of its own, and reads RESTING."""
+    reached, stack = set(), [graph.displacement.node]
+    while stack:
+        key = stack.pop()
+        if key not in reached and key in graph.nodes:
+            reached.add(key)
+            stack += [v.node for v in graph.nodes[key].inputs.values() if isinstance(v, Link)]
+
+    def own(value):
+        if not isinstance(value, Link) or value.node not in reached:
+            return value
+        node = graph.nodes[value.node]
+        moves = node.kind == "texture_coordinate" and node.params.get("object_from_world") is None
+        if moves and value.output == "object":
+            return Link(RESTING, "vector")
+        return Link(f"{RESTING}:{value.node}", value.output)
+
+    copies = {
+        f"{RESTING}:{key}": replace(node, inputs={name: own(v) for name, v in node.inputs.items()})
+        for key, node in graph.nodes.items()
+        if key in reached
+    }
+    if not any(v == Link(RESTING, "vector") for node in copies.values() for v in node.inputs.values()):
+        return graph
+    nodes = graph.nodes | copies | {RESTING: Node("attribute", params={"name": RESTING})}
+    return replace(graph, nodes=nodes, displacement=own(graph.displacement))
 
 
 def principled(name: str = "Material", **inputs) -> Material:

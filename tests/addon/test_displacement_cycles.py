@@ -48,7 +48,7 @@ def image(path, method: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-@pytest.mark.parametrize("coordinates", [None, "Generated"])
+@pytest.mark.parametrize("coordinates", [None, "Generated", "Object"])
 @pytest.mark.parametrize("method", ["DISPLACEMENT", "BOTH"])
 def test_displaced_boxes_are_those_of_cycles(tmp_path, method, coordinates, smooth):
     """Corners move along their own normals. What is displaced and bumped is shaded smooth, even if its mesh is flat."""
@@ -62,4 +62,6 @@ def test_displaced_boxes_are_those_of_cycles(tmp_path, method, coordinates, smoo
     theirs, ours = image(tmp_path / "cycles.exr", "cycles"), image(tmp_path / "ours.exr", "distributed")
     assert theirs.max() > 0.5 and theirs.std() > 0.1
     difference = np.abs(ours - theirs).max(-1)
-    assert difference.mean() < 0.01 and np.quantile(difference, 0.95) < 0.05
+    # differences of positions Cycles takes along the moved triangles
+    bound = 0.02 if coordinates == "Object" else 0.01
+    assert difference.mean() < bound and np.quantile(difference, 0.95) < 5.0 * bound

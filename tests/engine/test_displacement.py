@@ -11,6 +11,7 @@ from pointmr_engine import Camera, Group, Instances, Material, Mesh, RenderSetti
 from pointmr_engine.displacement import displaced
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.material import RESTING
 from pointmr_engine.scene.mesh import GENERATED
 from pointmr_engine.scene.world import uniform_world
 from tests.engine.small_scenes import from_above
@@ -118,6 +119,29 @@ def test_generated_coordinates_are_those_of_the_resting_mesh():
     assert found.domain == "vertex"
     assert found.values[:, :2] == pytest.approx(flat.positions[:, :2] / 6.0 + 0.5, abs=1e-6)
     assert not found.values[:, 2].any()
+
+
+def test_bumps_of_what_is_displaced_read_the_resting_mesh():
+    """Where they read the object's coordinates; what the surface reads itself is the moved mesh."""
+    flat = grid(10, hilly("BOTH", b=Node("diffuse", {"color": Link("c", "object")})))
+    assert moved(flat).attributes[RESTING].values == pytest.approx(flat.positions)
+    graph = flat.materials[0].surface_graph
+    assert graph.nodes["b"].inputs["color"] == Link("c", "object") and graph.surface == Link("b", "bsdf")
+    assert set(graph.nodes) == {"c", "x", "s", "d", "b"} | {f"{RESTING}:{k}" for k in "cxsd"} | {RESTING}
+    for method in ("DISPLACEMENT", "BUMP"):
+        assert RESTING not in hilly(method).surface_graph.nodes
+    by_generated = hilly("BOTH", x=Node("separate_xyz", {"vector": Link("c", "generated")}))
+    assert by_generated.surface_graph.nodes == by_generated.graph.nodes
+    assert RESTING not in moved(grid(10, by_generated)).attributes
+
+
+def test_what_is_not_displaceable_has_bumps_of_what_it_is():
+    """Strands of a material that displaces and bumps: they rest."""
+    strands = grid(10, hilly("BOTH"))
+    strands.displaceable = False
+    left = moved(strands)
+    assert left.positions is strands.positions
+    assert left.attributes[RESTING].values == pytest.approx(strands.positions)
 
 
 def test_flat_meshes_stay_flat():
