@@ -30,3 +30,6 @@ class Graph:
     nodes: dict[str, Node] = field(default_factory=dict)
     surface: Link | None = None
     displacement: Link | None = None
+    raised: bool = (
+        False  # the displacement has moved the surface, too: its bumps are bumps from behind, and no dents
+    )

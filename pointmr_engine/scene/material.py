@@ -57,7 +57,10 @@ class Material:
 
 
 def _at_rest(graph: Graph) -> Graph:
-    """The graph; a displacement that reads the object's coordinates has nodes of its own, and reads RESTING."""
+    """The graph of a mesh that its displacement has moved.
+
+    One that reads the object's coordinates has nodes of its own, which read RESTING, and bumps as of unmoved meshes.
+    """
     reached, stack = set(), [graph.displacement.node]
     while stack:
         key = stack.pop()
@@ -80,7 +83,7 @@ def _at_rest(graph: Graph) -> Graph:
         if key in reached
     }
     if not any(v == Link(RESTING, "vector") for node in copies.values() for v in node.inputs.values()):
-        return graph
+        return replace(graph, raised=True)
     nodes = graph.nodes | copies | {RESTING: Node("attribute", params={"name": RESTING})}
     return replace(graph, nodes=nodes, displacement=own(graph.displacement))
 

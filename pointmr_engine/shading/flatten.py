@@ -30,7 +30,7 @@ def flatten(graph: Graph, kind: str, filtered: bool = True) -> Flat:
     """A graph's leaves, and the steps that they depend on."""
     builder = Builder(graph, kind, filtered)
     if graph.displacement is not None and kind == "surface":
-        builder.normal = _displaced_normal(builder, graph.displacement)
+        builder.normal = _displaced_normal(builder, graph.displacement, graph.raised)
     plans: list[LeafPlan] = []
     transparency: list[Source] = []
     emission: list[Source] = []
@@ -51,7 +51,7 @@ def flatten(graph: Graph, kind: str, filtered: bool = True) -> Flat:
     return Flat(builder.steps, plans, transparency, emission, shown if adds else [], builder.warnings)
 
 
-def _displaced_normal(builder: Builder, link: Link) -> Source | None:
+def _displaced_normal(builder: Builder, link: Link, raised: bool) -> Source | None:
     """Displacement as bump: the normal of the surface moved along the shading normal."""
     displacement = builder.value(link, VECTOR, (0.0, 0.0, 0.0))
     if isinstance(displacement, Constant):
@@ -67,7 +67,7 @@ def _displaced_normal(builder: Builder, link: Link) -> Source | None:
         "height": height,
         "normal": normal,
     }
-    return builder.add(NODES["bump"], inputs, {})["normal"]
+    return builder.add(NODES["bump"], inputs, {"raised": raised})["normal"]
 
 
 def _weighted_leaves(builder: Builder, graph: Graph) -> list[tuple[Node, Source]]:

@@ -63,7 +63,7 @@ class Plan:
     def run(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
         """Values of all wanted outputs, each node evaluated once."""
         memo: dict[tuple[int, str], np.ndarray] = {}
-        displaced: dict[tuple[int, float], SurfacePoints] = {}
+        displaced: dict[tuple[int, float, bool], SurfacePoints] = {}
         for index, step, wanted in self.steps:
             ignored = step.type.ignores(step.params, wanted)
             inputs = {name: read(s, memo) for name, s in step.inputs.items() if name not in ignored}
@@ -78,10 +78,11 @@ class Plan:
             source = step.inputs[name]
             if (index, name) not in self.sub:
                 return read(source, {})
-            if (axis, width) not in displaced:
+            key = axis, width, not step.params.get("raised", False)
+            if key not in displaced:
                 offset = axes_at(points)[axis] * (points.footprint * width)[:, None]
-                displaced[axis, width] = moved_points(points, offset, self._needs_moved, bump=True)
-            return read(source, self.sub[index, name].run(displaced[axis, width]))
+                displaced[key] = moved_points(points, offset, self._needs_moved, bump=key[2])
+            return read(source, self.sub[index, name].run(displaced[key]))
 
         return moved
 

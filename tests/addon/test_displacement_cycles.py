@@ -47,6 +47,13 @@ def image(path, method: str) -> np.ndarray:
     return methods.read_exr(str(path))[0][..., :3].astype(float)
 
 
+def assert_as_cycles(folder, bound: float) -> None:
+    theirs, ours = image(folder / "cycles.exr", "cycles"), image(folder / "ours.exr", "distributed")
+    assert theirs.max() > 0.5 and theirs.std() > 0.1
+    difference = np.abs(ours - theirs).max(-1)
+    assert difference.mean() < bound and np.quantile(difference, 0.95) < 5.0 * bound
+
+
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("coordinates", [None, "Generated", "Object"])
 @pytest.mark.parametrize("method", ["DISPLACEMENT", "BOTH"])
@@ -59,9 +66,17 @@ def test_displaced_boxes_are_those_of_cycles(tmp_path, method, coordinates, smoo
     for side in box.data.polygons:
         side.use_smooth = smooth
     stage.camera(at=(3, -5, 3.5), target=(0, 0, 0))
-    theirs, ours = image(tmp_path / "cycles.exr", "cycles"), image(tmp_path / "ours.exr", "distributed")
-    assert theirs.max() > 0.5 and theirs.std() > 0.1
-    difference = np.abs(ours - theirs).max(-1)
     # differences of positions Cycles takes along the moved triangles
-    bound = 0.02 if coordinates == "Object" else 0.01
-    assert difference.mean() < bound and np.quantile(difference, 0.95) < 5.0 * bound
+    assert_as_cycles(tmp_path, 0.02 if coordinates == "Object" else 0.01)
+
+
+@pytest.mark.parametrize("height", [3.5, -3.5])
+@pytest.mark.parametrize("coordinates", ["UV", "Generated", "Object"])
+@pytest.mark.parametrize("method", ["BUMP", "BOTH"])
+def test_displaced_floors_are_those_of_cycles_from_either_side(tmp_path, method, coordinates, height):
+    """From behind bumps of UVs are dents, and bumps where they have moved the surface, too."""
+    stage.empty_scene()
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=12, y_subdivisions=12, size=3)
+    bpy.context.object.data.materials.append(showing_normals(method, coordinates))
+    stage.camera(at=(3, -5, height), target=(0, 0, 0))
+    assert_as_cycles(tmp_path, 0.02 if coordinates == "Object" else 0.01)

@@ -24,7 +24,10 @@ from pointmr_engine.shading.values import cross, dot, normalize
     passes=lambda params, known: "normal" if "height" in known else None,
 )
 def _bump(c: Call) -> np.ndarray:
-    """params: invert. The height's gradient is taken over filter_width times the width of a pixel, as in Cycles."""
+    """params: invert; raised, as of scene.graph.Graph.
+
+    The height's gradient is taken over filter_width times the width of a pixel, as in Cycles.
+    """
     normal = c["normal"]
     # one width for the batch: it is a constant of the node in practice, and the moved points are shared by it
     width = float(max(np.max(c["filter_width"]), 1e-4)) * c.points.footprints
