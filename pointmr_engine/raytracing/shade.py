@@ -16,18 +16,20 @@ from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
 from pointmr_engine.shading.bsdf.widening import widen_lobes
+from pointmr_engine.shading.compiler import Slot
 from pointmr_engine.shading.footprint_mean import (
     OBLIQUE,
     POINT,
     SOME,
     Slopes,
     footprint_means,
-    nearer_to_means,
+    nearer_to_mean,
     normals_at_places,
     slope_variance,
     stretched_means,
 )
 from pointmr_engine.shading.footprint_slopes import TextureSlopes, fill_slopes
+from pointmr_engine.shading.leaf_plan import LeafPlan
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_DIFFUSE, RAY_SINGULAR
 from pointmr_engine.shading.program import Program
 from pointmr_engine.shading.values import dot
@@ -96,10 +98,23 @@ class Means(NamedTuple):
     values: list[tuple[np.ndarray, dict]]  # for program.fill_leaves
     slopes: Slopes | None  # of fine textures
     rows: np.ndarray | None  # (n,) of points whose lobes are widened ...
-    variance: np.ndarray | None  # ... (n,) float32 by this variance of slopes, or None
+    variances: dict  # ... by these variances of slopes, (n,) float32: by the names of the lobes' normals
 
 
-NO_MEANS = Means([], None, None, None)
+NO_MEANS = Means([], None, None, {})
+
+
+def _variances_of(plan: LeafPlan, means: Means) -> tuple[np.ndarray, np.ndarray]:
+    """Of means.rows, by what slopes vary below a leaf's lobes, and below its coat."""
+    none = np.zeros(len(means.rows), np.float32)
+
+    def of(name: str) -> np.ndarray:
+        source = plan.normals.get(name)
+        return means.variances.get((source.step, source.output), none) if isinstance(source, Slot) else none
+
+    return of("normal"), of("coat_normal")
+
+
 # variance of slopes in a footprint, up to which a lobe about their mean stands for them. By what they vary besides, one
 # place's normal differs from it: bumps have not the tails of such a lobe, in which small lamps would shine far and wide
 GENTLE = 0.005
@@ -169,10 +184,11 @@ class Shader:
             leaves = program.fill_leaves(values, means.values)
             if slopes is not None and means.slopes is not None:
                 fill_slopes(program, values, means.values, leaves, means.slopes, rows, slopes)
-            for leaf in leaves:
+            for leaf, plan in zip(leaves, program.leaves, strict=True):
+                before = out.count[means.rows] if means.variances else None
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
-            if means.variance is not None:
-                widen_lobes(out, means.rows, means.variance)
+                if before is not None:
+                    widen_lobes(out, means.rows, before, *_variances_of(plan, means))
 
     def _means(self, program: Program, rays, hits, frames, view, rows, state, detail) -> Means:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
@@ -191,7 +207,7 @@ class Shader:
         def points(needs: frozenset[str]):
             return lambda index: self._gather(rays, hits, frames, index, needs, state)
 
-        means, slopes, variance, widened = [], None, None, None
+        means, slopes, variances, widened = [], None, {}, None
         if program.fine_needs:
             found, slopes = footprint_means(
                 program.fine_values,
@@ -210,14 +226,13 @@ class Shader:
                 program.normal_reads,
                 self.seed,
             )
-            of_places = {name: places.mean(0) for name, places in normals.items()}
-            whole = slope_variance(list(of_places.values()))
-            widened, variance = (
-                rows[seen],
-                np.where(whole <= STEEPEST, np.minimum(whole, GENTLE), np.float32(0)),
-            )
-            shared = variance / np.maximum(whole, 1e-12)
-            means.append((seen, nearer_to_means(normals, of_places, shared)))
+            widened, found = rows[seen], {}
+            for name, places in normals.items():
+                mean = places.mean(0)
+                whole = slope_variance(mean)
+                variances[name] = np.where(whole <= STEEPEST, np.minimum(whole, GENTLE), np.float32(0))
+                found[name] = nearer_to_mean(places, mean, variances[name] / np.maximum(whole, 1e-12))
+            means.append((seen, found))
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))
             oblique = np.flatnonzero(cosine < OBLIQUE)
@@ -227,7 +242,7 @@ class Shader:
                     cosine[oblique],
                 )  # fmt: skip
                 means.append((seen[oblique], found))
-        return Means(means, slopes and slopes._replace(rows=seen[slopes.rows]), widened, variance)
+        return Means(means, slopes and slopes._replace(rows=seen[slopes.rows]), widened, variances)
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

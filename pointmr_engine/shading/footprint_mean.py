@@ -91,14 +91,13 @@ def normals_at_places(run, gather, rows: np.ndarray, needs: frozenset[str], seed
     return _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))[0]
 
 
-def nearer_to_means(normals: dict, means: dict, shared: np.ndarray) -> dict:
-    """Normals (n, 3) by name, of `normals_at_places` (FIRST, n, 3): those at one place, so much nearer to the means
-    (n, 3) of all places that they vary by 1 - shared of what these do.
+def nearer_to_mean(normals: np.ndarray, mean: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Of normals (FIRST, n, 3) of `normals_at_places` those at one place, (n, 3), so much nearer to the mean (n, 3) of
+    all places that they vary by 1 - shared of what these do.
 
     shared (n,): the part of the variance, 0..1, that lobes about the result have besides.
     """
-    apart = np.sqrt(1.0 - shared).astype(np.float32)[:, None]
-    return {name: mean + apart * (normals[name][0] - mean) for name, mean in means.items()}
+    return mean + np.sqrt(1.0 - shared).astype(np.float32)[:, None] * (normals[0] - mean)
 
 
 def _with(slopes: Slopes, rows: np.ndarray, along: tuple[dict, dict]) -> Slopes:
@@ -213,11 +212,11 @@ def _differ(values: dict, apart: float) -> np.ndarray:
     return differ
 
 
-def slope_variance(means: list[np.ndarray]) -> np.ndarray:
-    """(n,) float32 variance of slopes along one axis, of unit normals of which means (n, 3) of FIRST places are given;
-    of several, the largest (Toksvig 2005, "Mipmapping Normal Maps").
+def slope_variance(mean: np.ndarray) -> np.ndarray:
+    """(n,) float32 variance of slopes along one axis, of unit normals whose mean (n, 3) of FIRST places is given
+    (Toksvig 2005, "Mipmapping Normal Maps").
     """
-    length = np.sqrt(np.min([dot(m, m) for m in means], axis=0))
+    length = np.sqrt(dot(mean, mean))
     return np.maximum(1.0 / np.maximum(length, 0.1) - 1.0, 0.0).astype(np.float32) * np.float32(OF_FEW)
 
 

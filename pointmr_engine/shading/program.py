@@ -136,7 +136,8 @@ def fine_slots(
     bends = [(at and step.type.fine) or _is_image(step) for step, at in zip(steps, placed, strict=True)]
     bent = _decided(steps, bends, through=True)
     sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
-    normals = [s for leaf in sharp for name, s in leaf.normals.items() if name != "tangent"]
+    # the surface's own is that of leaves, too, which have none
+    normals = [s for leaf in sharp for name, s in leaf.normals.items() if name in ("normal", "coat_normal")]
     return (
         _columns(leaves, _decided(steps, fine)),
         [s for s in normals if isinstance(s, Slot) and bent[s.step]],

@@ -333,12 +333,12 @@ def test_the_length_of_mean_normals_tells_how_slopes_vary(deviation, seed):
     slopes = np.random.default_rng(seed).normal(0.0, deviation, (FIRST, 4000, 2))
     normals = np.concatenate([-slopes, np.ones((FIRST, 4000, 1))], 2)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    found = slope_variance([normals.mean(0), np.ones((4000, 3)) / np.sqrt(3)])
+    found = slope_variance(normals.mean(0))
     assert found.mean() == pytest.approx(deviation**2, rel=0.12)
 
 
 def test_even_normals_have_no_variance():
-    assert (slope_variance([np.tile(np.array([[0, 0.6, 0.8]], np.float32), (5, 1))]) < 1e-6).all()
+    assert (slope_variance(np.tile(np.array([[0, 0.6, 0.8]], np.float32), (5, 1))) < 1e-6).all()
 
 
 @pytest.mark.parametrize(("roughness", "beckmann"), [(0.0, True), (0.3, True), (0.9, False)])
@@ -351,7 +351,9 @@ def test_lobes_are_as_wide_as_slopes_vary(roughness, beckmann):
     block = np.array([(1, 1, 1, roughness, 0, 0, 0, 0, 0)], np.float32)
     append(out, Leaf(GLOSSY, block), np.arange(3), view, load_tables())
     before, kinds = out.data[:, 0, ALPHA_X].copy(), out.kind[:, 0].copy()
-    widen_lobes(out, np.array([0, 2]), np.array([0.02, 0.0], np.float32))
+    below, none = np.array([0.02, 0.0], np.float32), np.zeros(2, np.float32)
+    widen_lobes(out, np.array([0, 2]), np.zeros(2, np.int32), below, none)
+    widen_lobes(out, np.array([0, 2]), np.ones(2, np.int32), below, none)  # of leaves before: no lobe
     assert out.data[0, 0, ALPHA_X] == pytest.approx(np.sqrt(before[0] ** 2 + 0.04), rel=1e-5)
     assert bool(out.kind[0, 0] & BECKMANN) == beckmann and not out.kind[0, 0] & SINGULAR_LOBE
     for k in (1, 2):  # not asked for, and even

@@ -16,6 +16,7 @@ SINGULAR_LOBE = 0x200  # too smooth to evaluate, can only be sampled
 BUMPED = 0x400  # the lobe's normal is not the point's shading normal
 ANISOTROPIC = 0x800
 THIN_FILM = 0x1000
+COAT = 0x4000  # a Principled BSDF's coat, which has a normal of its own
 MIRROR = 0x2000  # singular by its material, and a lobe only as normals differ within a footprint
 FRESNEL_DIELECTRIC = 0x10000  # plain dielectric
 FRESNEL_SCHLICK = 0x20000  # dielectric curve remapped to f0..1, tinted

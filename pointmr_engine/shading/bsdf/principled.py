@@ -17,6 +17,7 @@ from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
     ANISOTROPIC,
+    COAT,
     F0,
     FILM_IOR,
     FILM_THICKNESS,
@@ -218,7 +219,7 @@ def append(
                 top = valid_normal(lobes, i, wi, coat_normal) if coat > WEIGHT_CUTOFF else coat_normal
                 share = coat
                 present = coat > WEIGHT_CUTOFF and reflects
-                kind = REFLECTION | FRESNEL_DIELECTRIC
+                kind = REFLECTION | FRESNEL_DIELECTRIC | COAT
             elif layer == _LAYER_METAL:
                 top = lifted
                 share = metallic

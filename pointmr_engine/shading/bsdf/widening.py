@@ -11,6 +11,7 @@ from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
     BECKMANN,
+    COAT,
     HAS_EVALUATION,
     KIND_MASK,
     MIRROR,
@@ -48,27 +49,21 @@ def set_roughness(lobes, i, j, x, y, extra):
 
 
 @uncounted
-def widen_lobes(lobes, rows, variance):
-    """Widen the glossy lobes of the points `rows` (m,) int64 by the variance (m,) float32 of slopes below them.
+def widen_lobes(lobes, rows, first, variance, of_coat):
+    """Widen the glossy lobes of the points `rows` (m,) int64, from lobe first (m,) on, by the variance of slopes below
+    them: variance (m,) float32, and of_coat (m,) below coats.
 
     A Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
     """
     for k in range(len(rows)):
-        extra = 2.0 * np.float64(variance[k])
-        if not extra > FLATTEST:
-            continue
         i = rows[k]
-        for j in range(np.int64(lobes.count[i])):
-            if is_glossy(lobes.kind[i, j]):
+        for j in range(np.int64(first[k]), np.int64(lobes.count[i])):
+            kind = lobes.kind[i, j]
+            extra = 2.0 * np.float64(of_coat[k] if kind & COAT else variance[k])
+            if is_glossy(kind) and extra > FLATTEST:
+                x, y = np.float64(lobes.data[i, j, ALPHA_X]), np.float64(lobes.data[i, j, ALPHA_Y])
                 note_mirror(lobes, i, j)
                 lobes.flags[i] |= HAS_EVALUATION  # a mirror no longer, which light samples are worth
-                if extra > np.float64(lobes.data[i, j, ALPHA_X]) * np.float64(lobes.data[i, j, ALPHA_Y]):
+                if extra > x * y:
                     lobes.kind[i, j] = lobes.kind[i, j] | BECKMANN
-                set_roughness(
-                    lobes,
-                    i,
-                    j,
-                    np.float64(lobes.data[i, j, ALPHA_X]),
-                    np.float64(lobes.data[i, j, ALPHA_Y]),
-                    extra,
-                )
+                set_roughness(lobes, i, j, x, y, extra)

@@ -1,0 +1,74 @@
+"""Materials whose lobes have normals of their own: bumps widen those that they bend, and no others."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.forward.scenes import look
+from pointmr_engine import Camera, Group, Light, Material, Scene
+from pointmr_engine.scene.graph import Graph, Link, Node
+from tests.engine.small_scenes import quad
+from tests.engine.test_raytrace_light import DARK, image
+
+
+def noise(scale: float) -> dict[str, Node]:
+    """Noise of the object's coordinates at "t"."""
+    return {
+        "c": Node("texture_coordinate"),
+        "t": Node("noise_texture", {"vector": Link("c", "object"), "scale": scale}),
+    }
+
+
+def means(nodes: dict[str, Node], displacement: Link | None, view: float, tilt: float) -> tuple[float, ...]:
+    """How bright a plane under a sun is, by `distributed` and by one and four cones; angles from its normal."""
+    plane = quad(4.0, material=Material("plane", Graph(nodes, Link("s", "bsdf"), displacement)))
+    eye = Camera(look((6 * math.sin(view), 0.3, 6 * math.cos(view)), (0.0, 0.0, 0.0)))
+    sun = Light("SUN", look((-math.sin(tilt), 0.0, math.cos(tilt)), (0, 0, 0)), power=3.0, angle=0.05)
+    scene = Scene(Group("root", [plane]), eye, [sun], DARK)
+    middle = np.s_[10:26, 16:32]
+    exact = image(scene, method="distributed", samples=256)[middle].mean()
+    return exact, *(image(scene, cones=n)[middle].mean() for n in (1, 4))
+
+
+@pytest.mark.parametrize("roughness", [0.03, 0.1])
+def test_a_smooth_coat_stays_smooth_over_bumps(roughness):
+    """It was as wide as the bumps below it, and three times too bright beside the sun."""
+    nodes = noise(20.0) | {
+        "b": Node("bump", {"height": Link("t", "fac"), "distance": 0.1}),
+        "s": Node(
+            "principled",
+            {"base_color": (0.1, 0.1, 0.1), "metallic": 0.8, "roughness": 0.5, "normal": Link("b", "normal"),
+             "coat_weight": 1.0, "coat_roughness": roughness},
+        ),
+    }  # fmt: skip
+    exact, *ours = means(nodes, None, 1.0, 0.9)
+    assert ours == pytest.approx([exact, exact], rel=0.15)
+
+
+def test_a_coat_that_bumps_bend_is_as_wide_as_they_are():
+    """The base stays smooth."""
+    nodes = noise(60.0) | {
+        "b": Node("bump", {"height": Link("t", "fac"), "distance": 0.004}),
+        "s": Node(
+            "principled",
+            {"base_color": (0.1, 0.1, 0.1), "roughness": 0.5, "coat_normal": Link("b", "normal"),
+             "coat_weight": 1.0, "coat_roughness": 0.1},
+        ),
+    }  # fmt: skip
+    exact, *ours = means(nodes, None, 1.0, 0.9)
+    assert ours == pytest.approx([exact, exact], rel=0.15)
+
+
+@pytest.mark.parametrize("tilt", [-0.4, 0.4])
+@pytest.mark.parametrize("scale", [3.0, 15.0])
+def test_normal_maps_are_not_bent_by_displacements(scale, tilt):
+    """A displacement that is shown as bumps widened what has its own normal: up to ten times too dark or bright."""
+    colour = (0.5 + 0.5 * math.sin(tilt), 0.5, 0.5 + 0.5 * math.cos(tilt))
+    nodes = noise(scale) | {
+        "d": Node("displacement", {"height": Link("t", "fac"), "scale": 0.09}),
+        "n": Node("normal_map", {"color": colour}, {"space": "WORLD"}),
+        "s": Node("glossy", {"roughness": 0.3, "normal": Link("n", "normal")}),
+    }
+    exact, *ours = means(nodes, Link("d", "displacement"), 0.4, 0.9)
+    assert ours == pytest.approx([exact, exact], rel=0.1)
