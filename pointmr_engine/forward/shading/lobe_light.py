@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.shading.lamp_points import SHARP, points_of_lamp
+from pointmr_engine.forward.shading.lamp_points import NARROWER, SHARP, points_of_lamp
 from pointmr_engine.forward.shading.lamps_in_lobes import (
     hide_lobes,
     lamp_in_lobes,
@@ -157,7 +157,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             dx, dy, dz, solid, scale = _whole_lamp(
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
             )
-            sharp = solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < solid
+            sharp = solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < NARROWER * solid
             across, up, apart_u, apart_v = points_of_lamp(
                 lamps, np.int64(i), px, py, pz, normal, solid, sharp
             )
