@@ -219,19 +219,20 @@ class Shader:
             )
             means.append((seen, found))
         if program.normal_needs:
-            normals = normals_at_places(
+            wide, normals = normals_at_places(
                 program.normal_values,
                 points(program.normal_needs),
                 rows[seen],
                 program.normal_reads,
                 self.seed,
+                program.normals_by_images,
             )
             widened, found = rows[seen], {}
             for name, places in normals.items():
-                mean = places.mean(0)
-                whole = slope_variance(mean)
+                whole = slope_variance(places.mean(0))
                 variances[name] = np.where(whole <= STEEPEST, np.minimum(whole, GENTLE), np.float32(0))
-                found[name] = nearer_to_mean(places, mean, variances[name] / np.maximum(whole, 1e-12))
+                shared = variances[name] / np.maximum(whole, 1e-12)
+                found[name] = nearer_to_mean(places, wide[name].mean(0), shared)
             means.append((seen, found))
         if program.image_needs:
             cosine = np.abs(dot(view.geometric_normal[rows[seen]], view.incoming[rows[seen]]))

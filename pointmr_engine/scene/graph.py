@@ -31,5 +31,5 @@ class Graph:
     surface: Link | None = None
     displacement: Link | None = None
     raised: bool = (
-        False  # the displacement has moved the surface, too: its bumps are bumps from behind, and no dents
+        False  # the displacement has moved vertices, too: from behind its bumps are bumps, no dents
     )

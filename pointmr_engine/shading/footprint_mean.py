@@ -83,12 +83,16 @@ def footprint_means(
     return mean, slopes
 
 
-def normals_at_places(run, gather, rows: np.ndarray, needs: frozenset[str], seed: int = 0) -> dict:
+def normals_at_places(
+    run, gather, rows: np.ndarray, needs: frozenset[str], seed: int = 0, images: bool = True
+) -> tuple[dict, dict]:
     """Normals (FIRST, n, 3) by name at the first places of footprints; see `footprint_means`.
 
-    Images are filtered there over the part of the footprint that a place stands for.
+    Images are filtered over the part of the footprint that a place stands for, which tells the mean best, and not at
+    all, as it takes to tell how the normals differ. images: whether any bends them; else both are one.
     """
-    return _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))[0]
+    wide = _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))[0]
+    return wide, _at_places(run, gather, rows, needs, seed, 0, FIRST, 0.0)[0] if images else wide
 
 
 def nearer_to_mean(normals: np.ndarray, mean: np.ndarray, shared: np.ndarray) -> np.ndarray:

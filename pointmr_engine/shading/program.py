@@ -221,6 +221,8 @@ class Program:
         self._fine_names = {(s.step, s.output) for s in columns}
         self._normal_plan = Plan(steps, normals)
         self._normal_names = {(s.step, s.output) for s in normals}
+        by_images = _decided(steps, [_is_image(step) for step in steps], through=True)
+        self.normals_by_images: bool = any(by_images[s.step] for s in normals)
         images = image_slots(steps, leaves) if filtered and kind == "surface" else []
         images = [s for s in images if s not in columns]
         self._image_plan = Plan(steps, images)

@@ -8,6 +8,7 @@ import pytest
 from benchmarks.forward.scenes import look
 from pointmr_engine import Camera, Group, Light, Material, Scene
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.texture import Image
 from tests.engine.small_scenes import quad
 from tests.engine.test_raytrace_light import DARK, image
 
@@ -72,3 +73,32 @@ def test_normal_maps_are_not_bent_by_displacements(scale, tilt):
     }
     exact, *ours = means(nodes, Link("d", "displacement"), 0.4, 0.9)
     assert ours == pytest.approx([exact, exact], rel=0.1)
+
+
+def slopes(seed: int = 3) -> Image:
+    """A tangent-space normal map of waves of a dozen texels, whose slopes have a deviation of a half."""
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(64), np.fft.fftfreq(64)))
+    height = np.random.default_rng(seed).normal(size=(64, 64))
+    height = np.real(np.fft.ifft2(np.fft.fft2(height) * np.exp(-((12 * frequency) ** 2))))
+    rise = np.stack(np.gradient(height), -1)
+    rise *= 0.5 / rise.std()
+    normals = np.concatenate([-rise[..., ::-1], np.ones((64, 64, 1))], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    pixels = np.ones((64, 64, 4), np.float32)
+    pixels[..., :3] = 0.5 + 0.5 * normals
+    return Image("slopes", pixels, "Non-Color")
+
+
+@pytest.mark.parametrize("view", [0.4, 1.0])
+@pytest.mark.parametrize("roughness", [0.1, 0.3])
+def test_normal_maps_are_as_rough_from_afar_as_they_are(roughness, view):
+    """A pixel shows twenty texels across. Filtered, they were nearly flat: up to 2.6 times too bright beside the sun."""
+    nodes = {
+        "c": Node("texture_coordinate"),
+        "m": Node("mapping", {"vector": Link("c", "object"), "scale": (3.0, 3.0, 3.0)}),
+        "i": Node("image_texture", {"vector": Link("m", "vector")}, {"image": slopes()}),
+        "n": Node("normal_map", {"color": Link("i", "color")}, {"space": "WORLD"}),
+        "s": Node("glossy", {"roughness": roughness, "normal": Link("n", "normal")}),
+    }
+    exact, *ours = means(nodes, None, view, 0.9)
+    assert ours == pytest.approx([exact, exact], rel=0.2)

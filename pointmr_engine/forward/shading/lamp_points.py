@@ -39,7 +39,7 @@ from pointmr_engine.shading.bsdf.vector import dot
 TWO, ROW_OF_FOUR, ROW_OF_EIGHT = 0.05, 0.6, 4.0
 SHARP = 1e-6  # solid angle from which a lamp is sixteen points for lobes that are narrower than ...
 NARROWER = (
-    3.0  # ... so many of it: what one point stands for widens lobes, and lifts the tails of those as narrow
+    3.0  # ... so many of it: one point widens lobes by all of it, and lifts the tails of those as narrow
 )
 BROAD = 1.2  # tangent of a spread's half angle from which a lamp is sixteen points where its light ends, and not 64
 EVEN = 0.02  # of a spot's light may differ over a lamp before its edge counts as cutting it
