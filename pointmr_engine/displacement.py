@@ -139,8 +139,7 @@ def _smooth(mesh: Mesh, positions: np.ndarray, old: np.ndarray) -> np.ndarray:
         kinds, group = np.unique(group << 33 | x << 22 | y << 11 | z, return_inverse=True)
         count = len(kinds)
     faces = np.repeat(_of_triangles(mesh, positions), 3, 0)
-    total = np.stack([np.bincount(group, faces[:, c], count) for c in range(3)], 1)
-    mean = _unit(total)
+    mean = _unit(_sums(faces, group, count))
     found = (mean if old.ndim == 2 else mean[group].reshape(old.shape)).astype(np.float32)
     unknown = (found == 0.0).all(-1)
     found[unknown] = old[unknown]  # of vertices without triangles, and where these cancel
@@ -155,9 +154,7 @@ def _vertex_normals(mesh: Mesh) -> np.ndarray:
     leave, arrive = (_unit(np.roll(corners, -k, 1) - corners) for k in (1, 2))
     angle = np.arccos(np.clip((leave * arrive).sum(-1), -1.0, 1.0))
     weighted = (_corners(mesh, mesh.positions, mesh.normals) * angle[..., None]).reshape(-1, 3)
-    vertex = mesh.triangles.ravel()
-    total = np.stack([np.bincount(vertex, weighted[:, c], len(mesh.positions)) for c in range(3)], 1)
-    normals = _unit(total).astype(np.float32)
+    normals = _unit(_sums(weighted, mesh.triangles.ravel(), len(mesh.positions))).astype(np.float32)
     normals[(normals == 0.0).all(1)] = (0.0, 0.0, 1.0)
     return normals
 
@@ -166,6 +163,11 @@ def _of_triangles(mesh: Mesh, positions: np.ndarray) -> np.ndarray:
     """(T, 3) float64 unit normals; 0 of what has no area."""
     a, b, c = (positions[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
     return _unit(np.cross(b - a, c - a))
+
+
+def _sums(vectors: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """(count, 3): sums of the vectors (N, 3) of each group (N,)."""
+    return np.stack([np.bincount(group, vectors[:, c], count) for c in range(3)], 1)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import blender_addon  # noqa: E402
-from benchmarks import methods  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
+from tests.addon.beside_cycles import image  # noqa: E402
 
 SIZE = (64, 64)
 # samples a pixel, and how much of the image's mean square may differ
@@ -48,13 +48,6 @@ def surrounded_by_directions() -> None:
     stage.node(tree, "ShaderNodeOutputWorld", {"Surface": shine.outputs[0]})
 
 
-def image(path, method: str, samples: int) -> np.ndarray:
-    methods.configure(bpy.context.scene, methods.Method(method, samples), 1, SIZE, {}, 2)
-    methods.write_exr_settings(bpy.context.scene, str(path))
-    bpy.ops.render.render(write_still=True)
-    return methods.read_exr(str(path))[0][..., :3].astype(float)
-
-
 @pytest.mark.parametrize("behind", [False, True])
 @pytest.mark.parametrize("coordinates", ["UV", "Generated", "attribute", "Object"])
 def test_bumps_are_those_of_cycles_from_either_side(tmp_path, coordinates, behind):
@@ -67,8 +60,8 @@ def test_bumps_are_those_of_cycles_from_either_side(tmp_path, coordinates, behin
     heights = plane.data.attributes.new("wave", "FLOAT", "POINT").data
     heights.foreach_set("value", np.array([0.0, 2.0, 0.0, 1.0], np.float32))
     stage.camera(at=(0, -6, 0), target=(0, 0, 0))
-    theirs = image(tmp_path / "cycles.exr", "cycles", 64)
+    theirs = image(tmp_path / "cycles.exr", "cycles", 64, SIZE)
     for method, (samples, most) in METHODS.items():
-        ours = image(tmp_path / f"{method}.exr", method, samples)
+        ours = image(tmp_path / f"{method}.exr", method, samples, SIZE)
         error = ((ours - theirs) ** 2).mean() / (theirs**2).mean()
         assert error < most, f"{method}: {error:.1e}"

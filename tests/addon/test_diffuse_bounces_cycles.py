@@ -6,8 +6,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import blender_addon  # noqa: E402
-from benchmarks import methods  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
+from tests.addon.beside_cycles import image  # noqa: E402
 
 SIZE = (48, 36)
 INSIDE = np.s_[4:32, 8:40]
@@ -43,11 +43,7 @@ def build(lit_by: str) -> None:
 
 def picture(path, method: str, samples: int, bounces: int) -> np.ndarray:
     """Means (7, 8, 3) of 4 x 4 pixels of the box' inside."""
-    scene = bpy.context.scene
-    methods.configure(scene, methods.Method(method, samples), 1, SIZE, {"diffuse_bounces": bounces}, 2)
-    methods.write_exr_settings(scene, str(path))
-    bpy.ops.render.render(write_still=True)
-    part = methods.read_exr(str(path))[0][..., :3][INSIDE].astype(float)
+    part = image(path, method, samples, SIZE, diffuse_bounces=bounces)[INSIDE]
     return part.reshape(7, 4, 8, 4, 3).mean((1, 3))
 
 

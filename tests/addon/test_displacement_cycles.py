@@ -6,8 +6,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 import blender_addon  # noqa: E402
-from benchmarks import methods  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
+from tests.addon.beside_cycles import image  # noqa: E402
 
 SIZE = (64, 64)
 
@@ -40,15 +40,9 @@ def showing_normals(method: str, coordinates: str | None) -> bpy.types.Material:
     return made
 
 
-def image(path, method: str) -> np.ndarray:
-    methods.configure(bpy.context.scene, methods.Method(method, 16), 1, SIZE, {}, 2)
-    methods.write_exr_settings(bpy.context.scene, str(path))
-    bpy.ops.render.render(write_still=True)
-    return methods.read_exr(str(path))[0][..., :3].astype(float)
-
-
 def assert_as_cycles(folder, bound: float) -> None:
-    theirs, ours = image(folder / "cycles.exr", "cycles"), image(folder / "ours.exr", "distributed")
+    theirs = image(folder / "cycles.exr", "cycles", 16, SIZE)
+    ours = image(folder / "ours.exr", "distributed", 16, SIZE)
     assert theirs.max() > 0.5 and theirs.std() > 0.1
     difference = np.abs(ours - theirs).max(-1)
     assert difference.mean() < bound and np.quantile(difference, 0.95) < 5.0 * bound
