@@ -30,6 +30,5 @@ class Graph:
     nodes: dict[str, Node] = field(default_factory=dict)
     surface: Link | None = None
     displacement: Link | None = None
-    raised: bool = (
-        False  # the displacement has moved vertices, too: from behind its bumps are bumps, no dents
-    )
+    # the displacement has moved vertices, too: from behind its bumps are bumps, and no dents
+    raised: bool = False

@@ -91,8 +91,13 @@ def normals_at_places(
     Images are filtered over the part of the footprint that a place stands for, which tells the mean best, and not at
     all, as it takes to tell how the normals differ. images: whether any bends them; else both are one.
     """
-    wide = _at_places(run, gather, rows, needs, seed, 0, FIRST, 1.0 / math.sqrt(FIRST))[0]
-    return wide, _at_places(run, gather, rows, needs, seed, 0, FIRST, 0.0)[0] if images else wide
+    points = gather(rows)
+
+    def places(narrower: float) -> dict:
+        return _at_places(run, lambda _: points, rows, needs, seed, 0, FIRST, narrower)[0]
+
+    wide = places(1.0 / math.sqrt(FIRST))
+    return wide, places(0.0) if images else wide
 
 
 def nearer_to_mean(normals: np.ndarray, mean: np.ndarray, shared: np.ndarray) -> np.ndarray:

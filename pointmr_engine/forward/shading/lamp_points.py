@@ -37,10 +37,9 @@ from pointmr_engine.shading.bsdf.vector import dot
 
 # squared angles (sr) from which a lamp's side is so many points
 TWO, ROW_OF_FOUR, ROW_OF_EIGHT = 0.05, 0.6, 4.0
-SHARP = 1e-6  # solid angle from which a lamp is sixteen points for lobes that are narrower than ...
-NARROWER = (
-    3.0  # ... so many of it: one point widens lobes by all of it, and lifts the tails of those as narrow
-)
+# solid angle from which a lamp is sixteen points for lobes that are narrower than so many of it: one point for a lamp
+# widens lobes by all of it, and lifts the tails of those that are about as narrow
+SHARP, NARROWER = 1e-6, 3.0
 BROAD = 1.2  # tangent of a spread's half angle from which a lamp is sixteen points where its light ends, and not 64
 EVEN = 0.02  # of a spot's light may differ over a lamp before its edge counts as cutting it
 SMALL = (
