@@ -20,13 +20,14 @@ from pointmr_engine.forward.drawing.surfel_lanes import (
     corners_eight,
 )
 from pointmr_engine.forward.drawing.targets import put_triangle
+from pointmr_engine.forward.drawing.transforms import hash_placement
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.simd import WIDTH, trailing_zeros
 
 
 @device
 def draw_triangles(
-    view, target, width, height, left, low, constants, lanes, address, matrix, row, items, corners, cut_outs, first,
+    view, target, width, height, left, low, constants, lanes, address, transforms, row, items, corners, cut_outs, first,
     last, entries, used, work, small,
 ):  # fmt: skip
     """Draw triangles first..last (items of the octree, no instances) as they are; returns the number of entries then
@@ -36,6 +37,7 @@ def draw_triangles(
     octree, corners (M, 9) float32 of all items. work (3, 3) float64. small: subpixels; triangles no larger are one
     fragment, wherever they are visible.
     """
+    placed = np.uint32(0)  # what tells the placement from others, once it is known
     for start in range(first, last, WIDTH):
         masks = corners_eight(address[3], start, address[1], address[2])
         inside = (np.int64(1) << min(np.int64(WIDTH), last - start)) - 1
@@ -48,10 +50,13 @@ def draw_triangles(
             is_cut = (cut >> k) & 1 != 0
             lump = np.int64(1) if not is_cut and lanes[CORNER_SMALL, k] <= small else np.int64(0)
             if hole >= 0 or is_cut:
-                triangle_to_camera(matrix, row, corners, start + k, work)
+                triangle_to_camera(transforms.matrix, row, corners, start + k, work)
             if hole >= 0:
+                if placed == 0:
+                    placed = hash_placement(transforms, row)
+                key = placed ^ np.uint32(start + k)
                 written = draw_cut_out(
-                    view, target, width, height, left, low, work, used, cut_outs, hole, start + k
+                    view, target, width, height, left, low, work, used, cut_outs, hole, key
                 )
             elif is_cut:
                 written = draw_triangle(view, target, width, height, left, low, work, used)

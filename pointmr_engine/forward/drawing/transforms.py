@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.hierarchy.nesting import enter
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.hashing import hash_u32
+from pointmr_engine.numerics.jit import device, uncounted
 
 
 class Transforms(NamedTuple):
@@ -70,6 +71,16 @@ def compose(transforms: Transforms, parent_row, octree, instances, batch, placem
     transforms.record[out_row] = instances.first_record[batch] + placement
     transforms.group[out_row] = group
     return group
+
+
+@device
+def hash_placement(transforms: Transforms, row):
+    """What tells the placement of a row from others, uint32, never 0: by the records on its way, not where it lies."""
+    h = np.uint32(1)
+    while row >= 0:
+        h = hash_u32(h ^ np.uint32(transforms.record[row] + 1))
+        row = np.int64(transforms.parent[row])
+    return h | np.uint32(1)
 
 
 @uncounted

@@ -238,7 +238,7 @@ def _walk(view, world, how, seed, camera_from_world, left, low, right, high, tar
                     ready = True
                 counters[TRIANGLES] += last - i
                 used[0] = draw_triangles(
-                    view, target, width, height, left, low, constants, lanes, address, transforms.matrix, row,
+                    view, target, width, height, left, low, constants, lanes, address, transforms, row,
                     octree.item, world.corners, world.cut_outs, i, last, entries, used[0], pen.corners, small,
                 )  # fmt: skip
             i = last

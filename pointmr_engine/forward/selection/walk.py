@@ -263,7 +263,7 @@ def _walk(view, hierarchy, camera_from_world, spacing, left, low, right, high, t
                 ready = True
             counters[5] += last - i
             count = draw_triangles(
-                view, target, width, height, left, low, constants, lanes, address, transforms.matrix, row,
+                view, target, width, height, left, low, constants, lanes, address, transforms, row,
                 octree.item, hierarchy.corners, hierarchy.cut_outs, i, last, entries, count, corners, small,
             )  # fmt: skip
             i = last

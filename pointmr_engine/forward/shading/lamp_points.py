@@ -45,7 +45,8 @@ EVEN = 0.02  # of a spot's light may differ over a lamp before its edge counts a
 SMALL = (
     0.15  # of what a spread lights, across, is a lamp that is small enough to send the same from everywhere
 )
-LONG = 4.0  # times as long as it is wide: a rectangle whose sixteen points are two rows of eight
+LONG = 4.0  # times as long as it is wide: a rectangle of which rows have points by the lobe's width
+CELL = 1.4  # roughnesses of a lobe from one point of such a row to the next
 # by which points are moved outwards from a lamp's middle, so that their mean square distance from it is the lamp's:
 # of rows of n points, n a power of two, by sides of a rectangle and by the concentric mapping of round lamps
 APART = (
@@ -58,23 +59,23 @@ APART = (
 def points_of_lamp(lamps, i, px, py, pz, normal, solid, sharp):
     """(points along lamp i's sides u and v, by how much they are moved outwards along each).
 
-    solid: its solid angle from p, 0 of a lamp that is one point; normal: of the surface there; sharp: whether a lobe is
-    narrower than the lamp.
+    solid: its solid angle from p, 0 of a lamp that is one point; normal: of the surface there; sharp: the roughness of
+    a lobe that is narrower than the lamp's longer side, or 0.
     """
     shape = lamps.shape[i]
-    across = up = np.int64(8)
-    if not solid > 0.0:
-        across = up = np.int64(1)
-    elif not _sees_a_part(lamps, i, px, py, pz, normal):
+    across = up = np.int64(1)
+    if solid > 0.0:
+        least = np.int64(8)
+        if not sees_a_part(lamps, i, px, py, pz, normal):
+            least = _least_points(lamps, i, px, py, pz)
         across, up = _grid_of_points(lamps, i, solid, sharp)
-        least = _least_points(lamps, i, px, py, pz)
         across, up = max(across, least), max(up, least)
     apart = APART[0 if shape == RECTANGLE else 1]
-    return across, up, apart[across - 1], apart[up - 1]
+    return across, up, apart[min(across, 8) - 1], apart[min(up, 8) - 1]
 
 
 @device
-def _sees_a_part(lamps, i, px, py, pz, n):
+def sees_a_part(lamps, i, px, py, pz, n):
     """Whether the plane of a surface of normal n through p may cut lamp i in two."""
     row, shape = lamps.values[i], lamps.shape[i]
     if shape == SUN:
@@ -119,16 +120,41 @@ def _row_of_points(square):
 
 
 @device
+def length_of_lamp(lamps, i):
+    """How many times as long as it is wide a lamp is, or as wide as it is long."""
+    row, shape = lamps.values[i], lamps.shape[i]
+    if shape != RECTANGLE and shape != ELLIPSE:
+        return 1.0
+    return max(row[HALF_U], row[HALF_V]) / min(row[HALF_U], row[HALF_V])
+
+
+@device
+def _row_in_lobe(angle, width, least, most):
+    """How many points, a power of two, a lamp's side of `angle` rad is to lobes of this width, rad."""
+    n = least
+    while n < most and np.float64(n) * width < angle:
+        n *= 2
+    return np.int64(n)
+
+
+@device
 def _grid_of_points(lamps, i, solid, sharp):
-    """(points along a lamp's sides u, v), a lamp of `solid` sr; sharp: whether a lobe is narrower than the lamp."""
+    """(points along a lamp's sides u, v), a lamp of `solid` sr; sharp: how rough a lobe is to which it is wide, or 0."""
     row, shape = lamps.values[i], lamps.shape[i]
     longer = 1.0
     if shape == RECTANGLE or shape == ELLIPSE:
         longer = row[HALF_U] / row[HALF_V]
     across, up = _row_of_points(solid * longer), _row_of_points(solid / longer)
-    if sharp:
-        least_across = np.int64(8) if longer > LONG else np.int64(2) if longer * LONG < 1.0 else np.int64(4)
-        across, up = max(across, least_across), max(up, np.int64(16) // least_across)
+    if sharp > 0.0:
+        if shape == RECTANGLE and max(longer, 1.0 / longer) > LONG:
+            width = CELL * sharp
+            length = max(longer, 1.0 / longer)
+            short = _row_in_lobe(math.sqrt(solid / length), width, np.int64(1), np.int64(4))
+            long = _row_in_lobe(math.sqrt(solid * length), width, np.int64(8), np.int64(64) // short)
+            least_across, least_up = (long, short) if longer > 1.0 else (short, long)
+        else:
+            least_across = least_up = np.int64(4)
+        across, up = max(across, least_across), max(up, least_up)
     if shape == ELLIPSE:
         across = up = max(across, up)
     return across, up

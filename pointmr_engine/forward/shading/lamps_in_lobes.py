@@ -49,12 +49,15 @@ def narrow_lobes(lobes, k, alpha, solid):
 
 
 @device
-def _looks_near(lobes, k, j, wi, direction, solid):
-    """Whether directions of lobe j of point k may meet a lamp about `direction`, but for few of them."""
+def _looks_near(lobes, k, j, wi, direction, radius):
+    """Whether directions of lobe j of point k may meet a lamp about `direction`, but for few of them.
+
+    radius: of the lamp, rad, as far as it reaches if it is long.
+    """
     a, b = np.float64(lobes.data[k, j, ALPHA_X]), np.float64(lobes.data[k, j, ALPHA_Y])
     normal = load3(lobes.data, k, j, NORMAL)
     cosine = 2.0 * dot(normal, wi) * dot(normal, direction) - dot(wi, direction)
-    return math.acos(min(max(cosine, -1.0), 1.0)) < BALL * math.sqrt(solid / math.pi) + REACH * max(a, b)
+    return math.acos(min(max(cosine, -1.0), 1.0)) < BALL * radius + REACH * max(a, b)
 
 
 @device
@@ -65,16 +68,17 @@ def _share_of_points(pdf, solid, points):
 
 
 @device
-def lamp_in_lobes(lobes, k, bits, wi, lamps, i, px, py, pz, direction, solid, points, number):
+def lamp_in_lobes(lobes, k, bits, wi, lamps, i, px, py, pz, direction, solid, longer, points, number):
     """(r, g, b): what directions of the lobes `bits` of point k find of lamp i, all of whose light arrives at p.
 
     direction, solid: of the lamp's middle, its solid angle, of which `points` find the rest (point_beside_lobes);
     number: of the point, by which it has directions of its own.
     """
     r = g = b = 0.0
+    radius = math.sqrt(solid * longer / math.pi)
     plane, normal = row3(lobes.geometric_normal, k), row3(lobes.normal, k)
     for j in range(np.int64(lobes.count[k])):
-        if not (bits >> np.int64(j)) & 1 or not _looks_near(lobes, k, np.int64(j), wi, direction, solid):
+        if not (bits >> np.int64(j)) & 1 or not _looks_near(lobes, k, np.int64(j), wi, direction, radius):
             continue
         facing, weight = load3(lobes.data, k, j, NORMAL), load3(lobes.data, k, j, WEIGHT)
         kind = lobes.kind[k, j]

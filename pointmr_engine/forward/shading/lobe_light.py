@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.shading.lamp_points import NARROWER, SHARP, points_of_lamp
+from pointmr_engine.forward.shading.lamp_points import NARROWER, SHARP, length_of_lamp, points_of_lamp
 from pointmr_engine.forward.shading.lamps_in_lobes import (
     hide_lobes,
     lamp_in_lobes,
@@ -157,7 +157,11 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
             dx, dy, dz, solid, scale = _whole_lamp(
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
             )
-            sharp = solid > SHARP and _sharpest(lobes, np.int64(k), alpha) * math.pi < NARROWER * solid
+            sharp = 0.0
+            if solid > SHARP:
+                rough = _sharpest(lobes, np.int64(k), alpha)
+                if rough * math.pi < NARROWER * solid * length_of_lamp(lamps, np.int64(i)):
+                    sharp = math.sqrt(rough)
             across, up, apart_u, apart_v = points_of_lamp(
                 lamps, np.int64(i), px, py, pz, normal, solid, sharp
             )
@@ -174,7 +178,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                     _widen(lobes, np.int64(k), alpha, 0.0)
                     x, y, z = lamp_in_lobes(
                         lobes, np.int64(k), bits, wi, lamps, np.int64(i), px, py, pz, (dx, dy, dz), solid,
-                        np.float64(points), first + k,
+                        length_of_lamp(lamps, np.int64(i)), np.float64(points), first + k,
                     )  # fmt: skip
                     r, g, b = r + arrives * x, g + arrives * y, b + arrives * z
                 _widen(lobes, np.int64(k), alpha, _GLITTER * solid / (math.pi * points))

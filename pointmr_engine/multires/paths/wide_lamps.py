@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.forward.shading.lamp_points import sees_a_part
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.cones.lamp_cones import (
     ALL,
@@ -22,22 +23,64 @@ from pointmr_engine.multires.cones.lamp_cones import (
 )
 from pointmr_engine.multires.paths.shadow_edges import LARGE
 from pointmr_engine.multires.paths.sharing_paths import SharingPaths
-from pointmr_engine.numerics.jit import uncounted
+from pointmr_engine.numerics.jit import device, uncounted
+from pointmr_engine.numerics.rng import R2
 from pointmr_engine.raytracing import paths
 from pointmr_engine.raytracing.integrator import NEXT
-from pointmr_engine.raytracing.lamps import sample_lamp
+from pointmr_engine.raytracing.lamps import SPOT, TAN_SPREAD, sample_lamp
 from pointmr_engine.raytracing.path_arrays import allocate_samples
 from pointmr_engine.scene.group import SHADOW
 from pointmr_engine.shading.bsdf.vector import dot, row3
 
 # rays of a fragment to a lamp behind something that light passes; of a small one, and behind it, one
 LOOKS = 4
+PLACES = 8  # of a lamp that lights a point in part, of which a ray chooses one
 _SHORT = 1.0 - 1e-6  # of the way to a lamp
+
+
+@device
+def _places_of(lamps, i, p, normal, whole):
+    """Among how many places of lamp i a ray from p chooses: one, if all of them light p."""
+    row = lamps.values[i]
+    uneven = row[SPOT] != 0.0 or row[TAN_SPREAD] < math.inf
+    if uneven or (not whole and sees_a_part(lamps, i, p[0], p[1], p[2], normal)):
+        return np.int64(PLACES)
+    return np.int64(1)
+
+
+@device
+def _towards_lamp(lamps, i, p, normal, behind, u):
+    """(dx, dy, dz, distance, irradiance) of a place of lamp i, chosen from a few by the light that they send to p.
+
+    What a place stands for is their mean (resampled importance sampling; Talbot, Cline and Egbert 2005): of a lamp that
+    the surface's plane cuts, or its beam's edge, a place by chance may send nothing. u (3,): in 0..1.
+    """
+    places = _places_of(lamps, i, p, normal, behind == ALL)
+    chosen, total, chance = (0.0, 0.0, 1.0, 0.0), 0.0, u[0]
+    a, b = np.float64(u[1]), np.float64(u[2])
+    for _ in range(places):
+        dx, dy, dz, distance, pdf, scale = sample_lamp(
+            lamps, i, p[0], p[1], p[2], normal[0], normal[1], normal[2], behind == ALL, a, b
+        )
+        a, b = (a + R2[0]) % 1.0, (b + R2[1]) % 1.0
+        cosine = dot(normal, (dx, dy, dz))
+        if not pdf > 0.0 or (cosine <= 0.0 and behind == NOTHING):
+            continue
+        light = abs(cosine) * scale / pdf
+        if not (light > 0.0 and math.isfinite(light)):
+            continue
+        total += light
+        share = light / total
+        if chance < share:
+            chosen, chance = (dx, dy, dz, distance), chance / share
+        else:
+            chance = (chance - share) / (1.0 - share)
+    return chosen[0], chosen[1], chosen[2], chosen[3], total / places
 
 
 @uncounted
 def lamp_rays(lamps, i, position, lobes, behind, offset, hits, depth, rows, u, count, out, total):
-    """Shadow rays from points rows[0..count] to the places u (N, 3) of lamp i; returns how many.
+    """Shadow rays from points rows[0..count] to places of lamp i; returns how many. u (N, 3): in 0..1, which places.
 
     Each brings the irradiance that it stands for, by the points' normals, which is added to total (N,) float64, by
     point. position (N, 3) float64; behind (N,) uint8: lamp_cones.lit_from_behind; offset (N,) float64; depth (N,):
@@ -46,16 +89,10 @@ def lamp_rays(lamps, i, position, lobes, behind, offset, hits, depth, rows, u, c
     n = np.int64(0)
     for j in range(count):
         k = np.int64(rows[j])
-        normal = row3(lobes.normal, k)
-        dx, dy, dz, distance, pdf, scale = sample_lamp(
-            lamps, i, position[k, 0], position[k, 1], position[k, 2], normal[0], normal[1], normal[2],
-            behind[k] == ALL, u[j, 1], u[j, 2],
-        )  # fmt: skip
-        cosine = dot(normal, (dx, dy, dz))
-        if not pdf > 0.0 or (cosine <= 0.0 and behind[k] == NOTHING):
-            continue
-        light = abs(cosine) * scale / pdf
-        if not (light > 0.0 and math.isfinite(light)):
+        dx, dy, dz, distance, light = _towards_lamp(
+            lamps, i, row3(position, k), row3(lobes.normal, k), behind[k], u[j]
+        )
+        if not light > 0.0:
             continue
         total[k] += light
         out.slot[n] = out.source[n] = k
