@@ -42,9 +42,10 @@ def lamp_of(name: str, place: np.ndarray | None = None):
 def cones_from(lamps, points: np.ndarray, normal, behind: int = NOTHING):
     """(count, cones, terms, rows) of points (N, 3) whose normal is the same; each is a footprint of its own."""
     n = len(points)
-    cones, terms, rows = allocate_cones(n), np.empty((n, TERMS)), np.empty(n, np.int32)
+    cones, terms, rows = allocate_cones(2 * n), np.empty((2 * n, TERMS)), np.empty(2 * n, np.int32)
+    start = np.asarray(points, float)
     count = lamp_cones(
-        lamps, np.int64(0), np.asarray(points, float), np.tile(np.float32(normal), (n, 1)),
+        lamps, np.int64(0), start, start, np.tile(np.float32(normal), (n, 1)),
         np.full(n, behind, np.uint8), np.full(n, 1e-6, np.float32), np.zeros(n), np.ones(n, np.int32), np.int64(n),
         cones, rows, terms,
     )  # fmt: skip
@@ -57,7 +58,8 @@ def shares_of(lamps, masks: np.ndarray, cones, terms, rows, behind: int = NOTHIN
     bits = (masks.astype(np.uint64) << np.arange(64, dtype=np.uint64)).sum(1, dtype=np.uint64)
     share = np.full(int(rows[:n].max()) + 1, 7.0, np.float32)
     behind = np.full(len(share), behind, np.uint8)
-    take_shares(bits, lamps, np.int64(0), cones, terms, behind, rows, np.int64(n), share)
+    beneath = share.copy()
+    take_shares(bits, lamps, np.int64(0), cones, terms, behind, rows, np.int64(n), share, beneath)
     return share[rows[:n]].astype(float)
 
 

@@ -80,8 +80,8 @@ def cover_cut_out(target, width, height, perspective, x, y, w, at, entry, cells,
     """Draw a triangle as subpixels.cover_triangle does, but where its cells leave holes; whether anything was written.
 
     x, y: corners in subpixels of the tile; w: their nearness, 1 / depth in perspective; at: for each its barycentric
-    weights (u, v) in the triangle whose opacity the cells are (CutOuts: cells, start, side); key uint32: of that one in its
-    placement.
+    weights (u, v) in the triangle whose opacity the cells are (CutOuts: cells, start, side); key uint32: its, where it
+    is placed.
     """
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     if area == 0.0 or max(x[0], x[1], x[2]) < 0.0 or min(x[0], x[1], x[2]) > width:

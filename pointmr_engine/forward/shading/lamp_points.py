@@ -139,7 +139,7 @@ def _row_in_lobe(angle, width, least, most):
 
 @device
 def _grid_of_points(lamps, i, solid, sharp):
-    """(points along a lamp's sides u, v), a lamp of `solid` sr; sharp: how rough a lobe is to which it is wide, or 0."""
+    """(points along a lamp's sides u, v), a lamp of `solid` sr; sharp: as of points_of_lamp."""
     row, shape = lamps.values[i], lamps.shape[i]
     longer = 1.0
     if shape == RECTANGLE or shape == ELLIPSE:

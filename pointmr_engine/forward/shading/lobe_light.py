@@ -132,11 +132,12 @@ def _ball(cosine):
 
 
 @uncounted
-def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, count, out):
+def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, beneath, first, count, out):
     """Add the lamps' light that points 0..count send to the viewer to out (N, 3) float32.
 
     incoming (N, 3) float32 to the viewer; position (N, 3) float64; flat (N,) float32, alpha (N, L, 2) as
-    widen_by_normals left it; shadow (lamps or 0, F) float32: share that arrives at fragments first...
+    widen_by_normals left it; shadow (lamps or 0, F) float32: share that arrives at fragments first..., and beneath
+    (lamps or 0, F) of what of a lamp is behind the surface, the same if it is of none.
     """
     for k in range(count):
         if lobes.count[k] == 0:
@@ -149,10 +150,12 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
         r = g = b = 0.0
         widened = False
         for i in range(len(lamps.shape)):
-            arrives = 1.0
+            arrives = below = 1.0
             if len(shadow) > 0:
-                arrives = np.float64(shadow[i, first + k])
-                if not arrives > 0.0:
+                arrives = below = np.float64(shadow[i, first + k])
+                if len(beneath) > 0:
+                    below = np.float64(beneath[i, first + k])
+                if not (arrives > 0.0 or below > 0.0):
                     continue
             dx, dy, dz, solid, scale = _whole_lamp(
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
@@ -218,7 +221,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, lamps, shadow, first, co
                     f0, f1, f2 = f0 + x, f1 + y, f2 + z
                 if seen & TRANSMISSION:
                     f0, f1, f2 = f0 + transmission[0], f1 + transmission[1], f2 + transmission[2]
-                scale *= arrives
+                scale *= arrives if arrives == below or dot(normal, (dx, dy, dz)) > 0.0 else below
                 r += scale * f0 * lamps.radiance[i, 0]
                 g += scale * f1 * lamps.radiance[i, 1]
                 b += scale * f2 * lamps.radiance[i, 2]

@@ -22,15 +22,16 @@ class SplitLamps:
         self.alone = [rows_of(lamps, k, k + 1) for k in range(count)]
         self.even = rows_of(lamps, 0, count - len(self.nodes))
 
-    def shade(self, lobes, incoming, position, flat, alpha, share, first: int, n: int, out) -> None:
+    def shade(self, lobes, incoming, position, flat, alpha, share, beneath, first: int, n: int, out) -> None:
         """`lobe_light.shade_lamps` of all the lamps."""
         view = lobes, incoming, position, flat, alpha
         even = len(self.even.shape)
         if even:
-            shade_lamps(*view, self.even, share[:even], np.int64(first), np.int64(n), out)
+            shade_lamps(*view, self.even, share[:even], beneath[:even], np.int64(first), np.int64(n), out)
         for k, nodes in self.nodes.items():
             own = np.zeros((n, 3), np.float32)
-            shade_lamps(*view, self.alone[k], share[k : k + 1], np.int64(first), np.int64(n), own)
+            arrives = share[k : k + 1], beneath[k : k + 1]
+            shade_lamps(*view, self.alone[k], *arrives, np.int64(first), np.int64(n), own)
             rows = np.flatnonzero(own.any(1))
             if len(rows):
                 out[rows] += own[rows] * nodes.mean(position[rows], lobes.normal[rows])

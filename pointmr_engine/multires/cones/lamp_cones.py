@@ -51,9 +51,10 @@ EDGE_ON = 1e-3  # cosine below which flat lamps are not seen
 LIT = 2 / 3
 _SHORT = 1.0 - 1e-5  # of the way to a lamp: what it is made of throws no shadow
 # what take_shares needs of a cone: how its cells are shifted, cosines at the point towards the lamp and along its
-# sides, cosines between these and the cone's axis, and between all three and the lamp's axis
-SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y, FACING, FACING_X, FACING_Y = range(10)
-TERMS = 10
+# sides, cosines between these and the cone's axis, and between all three and the lamp's axis; which side of the surface
+# the cone is for: 1, -1, or 0 for both
+SHIFT_X, SHIFT_Y, TOWARDS, ALONG_X, ALONG_Y, LEAN_X, LEAN_Y, FACING, FACING_X, FACING_Y, SIDE = range(11)
+TERMS = 11
 NOTHING, BUMPS, ALL = 0, 1, 2  # of a point: what a lamp behind it may light
 
 
@@ -138,101 +139,123 @@ def lit_from_behind(lobes, out, count):
 
 
 @uncounted
-def raise_points(lamps, i, tables, hits, frames, shading_normal, lobe_count, count, corners, normals, out):
+def raise_points(
+    lamps, i, tables, hits, frames, shading_normal, lobe_count, count, side, corners, normals, out
+):
     """out (N, 3) float64: where cones from points 0..count to lamp i start: off coarse triangles that look smooth.
 
-    The other arguments as of raytracing.terminator.rise.
+    side: 1.0 towards what of the lamp is on the viewer's side of the surface, -1.0 behind it, if it is on both. The
+    other arguments as of raytracing.terminator.rise.
     """
     row, shape = lamps.values[i], lamps.shape[i]
     for k in range(count):
         px, py, pz = frames.position[k, 0], frames.position[k, 1], frames.position[k, 2]
         if lobe_count[k] > 0:
-            dx, dy, dz = _lit_part(row, shape, px, py, pz, row3(shading_normal, k))
+            x, y, z = row3(shading_normal, k)
+            dx, dy, dz = _lit_part(row, shape, px, py, pz, (side * x, side * y, side * z))
             _, x, y, z = rise(tables, hits, frames, shading_normal, np.int64(k), dx, dy, dz, corners, normals)
             px, py, pz = px + x, py + y, pz + z
         out[k, 0], out[k, 1], out[k, 2] = px, py, pz
 
 
-@uncounted
-def lamp_cones(
-    lamps, i, position, normal, behind, width, offset, lobe_count, count, cones: Cones, rows, terms
-):
-    """Cones from points 0..count to lamp i, for those that it could light; returns how many, rows (N,) their points.
+@device
+def _add_cone(lamps, i, p, n, turn, cones, terms, m):
+    """Fill row m: a cone from p to lamp i, but for where it starts and for whom; whether it has any width.
 
-    A flat lamp's cells are even on the lamp, others' across the direction to it. Where they lie differs from point to
-    point, lest their borders show. terms (N, TERMS) float64: what take_shares needs of the cones, filled.
-
-    position (N, 3) float64; normal (N, 3) float32: what points are shaded by, for a lamp below a flat triangle may
-    light it where it looks round, and the triangles beside it are what hides it; behind (N,) uint8: lit_from_behind;
-    width (N,) float32: the points' footprints; offset (N,) float64: what is nearer throws no shadow.
+    n: normal at p; turn: two numbers in 0..1 that shift its cells.
     """
     row, shape = lamps.values[i], lamps.shape[i]
-    flat = shape == RECTANGLE or shape == ELLIPSE
+    px, py, pz = p
+    dx, dy, dz, distance = _towards(row, shape, px, py, pz)
+    if not distance > 0.0:
+        return False
+    shift_x, shift_y = turn[0] - 0.5, turn[1] - 0.5
+    if shape == RECTANGLE or shape == ELLIPSE:
+        x, y, across = (
+            (row[UX], row[UY], row[UZ]),
+            (row[VX], row[VY], row[VZ]),
+            (-row[AX], -row[AY], -row[AZ]),
+        )
+        wide_x, wide_y = row[HALF_U], row[HALF_V]
+        if dot((dx, dy, dz), across) < EDGE_ON:
+            return False
+    else:
+        across = dx, dy, dz
+        angle = 2.0 * math.pi * ((97.0 * turn[0] + turn[1]) % 1.0)
+        x, y, wide_x = _round_frame(row, shape, dx, dy, dz, distance, angle)
+        wide_y = wide_x
+        if wide_x == 0.0:
+            return False
+    a, b = CELL * shift_x * wide_x, CELL * shift_y * wide_y
+    tx = distance * dx + a * x[0] + b * y[0]
+    ty = distance * dy + a * x[1] + b * y[1]
+    tz = distance * dz + a * x[2] + b * y[2]
+    way = math.sqrt(tx * tx + ty * ty + tz * tz)
+    d = tx / way, ty / way, tz / way
+    cones.spread[m, 0], cones.spread[m, 1] = 4.0 * CELL * wide_x / way, 4.0 * CELL * wide_y / way
+    terms[m, SHIFT_X], terms[m, SHIFT_Y] = shift_x, shift_y
+    terms[m, TOWARDS] = dot(n, d)
+    terms[m, ALONG_X], terms[m, ALONG_Y] = dot(n, x) * cones.spread[m, 0], dot(n, y) * cones.spread[m, 1]
+    terms[m, LEAN_X], terms[m, LEAN_Y] = dot(d, x), dot(d, y)
+    axis = -row[AX], -row[AY], -row[AZ]
+    terms[m, FACING] = dot(d, axis)
+    terms[m, FACING_X], terms[m, FACING_Y] = dot(x, axis), dot(y, axis)
+    cones.origin[m, 0], cones.origin[m, 1], cones.origin[m, 2] = px, py, pz
+    cones.start[m, 0] = cones.start[m, 1] = 0.0
+    _set_frame(cones, m, x, y, across, d)
+    cones.t_max[m] = way * _SHORT
+    if shape == SUN:
+        cones.t_max[m] = math.inf
+    elif shape == SPHERE:
+        cones.t_max[m] = way * (_SHORT - row[RADIUS] / distance)
+    cones.visibility[m] = SHADOW
+    return True
+
+
+@uncounted
+def lamp_cones(
+    lamps, i, position, below, normal, behind, width, offset, lobe_count, count, cones: Cones, rows, terms
+):
+    """Cones from points 0..count to lamp i, for those that it could light; returns how many, rows (2 N,) their points.
+
+    A flat lamp's cells are even on the lamp, others' across the direction to it. Where they lie differs from point to
+    point, lest their borders show. Two cones, one behind the other, of a point that light passes through and whose
+    plane cuts the lamp: one for each side. terms (2 N, TERMS) float64: what take_shares needs of the cones, filled.
+
+    position (N, 3) float64, and below for what is behind the surface; normal (N, 3) float32: what points are shaded by,
+    for a lamp below a flat triangle may light it where it looks round, and the triangles beside it are what hides it;
+    behind (N,) uint8: lit_from_behind; width (N,) float32: the points' footprints; offset (N,) float64: what is nearer
+    throws no shadow.
+    """
     m = np.int64(0)
     for k in range(count):
         if lobe_count[k] == 0:
             continue
-        px, py, pz = position[k, 0], position[k, 1], position[k, 2]
-        dx, dy, dz, distance = _towards(row, shape, px, py, pz)
-        if not distance > 0.0:
+        n = row3(normal, k)
+        turn = jitter(position[k, 0], position[k, 1], position[k, 2], width[k])
+        if not _add_cone(lamps, i, row3(position, k), n, turn, cones, terms, m):
             continue
-        turn = jitter(px, py, pz, width[k])
-        shift_x, shift_y = turn[0] - 0.5, turn[1] - 0.5
-        if flat:
-            x, y, across = (
-                (row[UX], row[UY], row[UZ]),
-                (row[VX], row[VY], row[VZ]),
-                (-row[AX], -row[AY], -row[AZ]),
-            )
-            wide_x, wide_y = row[HALF_U], row[HALF_V]
-            if dot((dx, dy, dz), across) < EDGE_ON:
-                continue
-        else:
-            across = dx, dy, dz
-            angle = 2.0 * math.pi * ((97.0 * turn[0] + turn[1]) % 1.0)
-            x, y, wide_x = _round_frame(row, shape, dx, dy, dz, distance, angle)
-            wide_y = wide_x
-            if wide_x == 0.0:
-                continue
-        a, b = CELL * shift_x * wide_x, CELL * shift_y * wide_y
-        tx = distance * dx + a * x[0] + b * y[0]
-        ty = distance * dy + a * x[1] + b * y[1]
-        tz = distance * dz + a * x[2] + b * y[2]
-        way = math.sqrt(tx * tx + ty * ty + tz * tz)
-        d = tx / way, ty / way, tz / way
-        cones.spread[m, 0], cones.spread[m, 1] = 4.0 * CELL * wide_x / way, 4.0 * CELL * wide_y / way
-        n = np.float64(normal[k, 0]), np.float64(normal[k, 1]), np.float64(normal[k, 2])
-        towards = dot(n, d)
-        along_x, along_y = dot(n, x) * cones.spread[m, 0], dot(n, y) * cones.spread[m, 1]
-        if behind[k] == NOTHING and towards + abs(along_x) + abs(along_y) <= 0.0:
+        towards, reach = terms[m, TOWARDS], abs(terms[m, ALONG_X]) + abs(terms[m, ALONG_Y])
+        if behind[k] == NOTHING and towards + reach <= 0.0:
             continue
-        rows[m] = k
-        terms[m, SHIFT_X], terms[m, SHIFT_Y] = shift_x, shift_y
-        terms[m, TOWARDS], terms[m, ALONG_X], terms[m, ALONG_Y] = towards, along_x, along_y
-        terms[m, LEAN_X], terms[m, LEAN_Y] = dot(d, x), dot(d, y)
-        axis = -row[AX], -row[AY], -row[AZ]
-        terms[m, FACING] = dot(d, axis)
-        terms[m, FACING_X], terms[m, FACING_Y] = dot(x, axis), dot(y, axis)
-        cones.origin[m, 0], cones.origin[m, 1], cones.origin[m, 2] = px, py, pz
-        cones.start[m, 0] = cones.start[m, 1] = 0.0
-        _set_frame(cones, m, x, y, across, d)
-        cones.t_min[m] = max(offset[k], NEAR * width[k])
-        cones.t_max[m] = way * _SHORT
-        if shape == SUN:
-            cones.t_max[m] = math.inf
-        elif shape == SPHERE:
-            cones.t_max[m] = way * (_SHORT - row[RADIUS] / distance)
-        cones.visibility[m] = SHADOW
+        rows[m], cones.t_min[m], terms[m, SIDE] = k, max(offset[k], NEAR * width[k]), 1.0
         m += 1
+        if behind[k] != ALL:
+            continue
+        if abs(towards) >= reach:
+            terms[m - 1, SIDE] = 0.0
+        elif _add_cone(lamps, i, row3(below, k), n, turn, cones, terms, m):
+            rows[m], cones.t_min[m], terms[m, SIDE] = k, cones.t_min[m - 1], -1.0
+            m += 1
     return m
 
 
 @device
-def _irradiance(cones, terms, m, i, j, shape, row, beam, both):
+def _irradiance(cones, terms, m, i, j, shape, row, beam, side):
     """Of the irradiance that cone m's lamp brings, what cell (i, j) does: its solid angle, the cosine at the point, and
     what a `beam` lets out that way.
 
-    In any unit; 0 for cells whose middles the lamp does not fill. shape, row: the lamp's.
+    In any unit; 0 for cells whose middles the lamp does not fill. shape, row: the lamp's; side: as SIDE.
     """
     u, v = CELL * (i - 3.5 + terms[m, SHIFT_X]), CELL * (j - 3.5 + terms[m, SHIFT_Y])
     if shape == RECTANGLE:
@@ -242,10 +265,11 @@ def _irradiance(cones, terms, m, i, j, shape, row, beam, both):
         return 0.0
     u, v = 0.25 * i - 0.875, 0.25 * j - 0.875
     cosine = terms[m, TOWARDS] + u * terms[m, ALONG_X] + v * terms[m, ALONG_Y]
-    if cosine < 0.0:
-        if not both:
+    if side != 0.0:
+        cosine *= side
+        if cosine < 0.0:
             return 0.0
-        cosine = -cosine
+    cosine = abs(cosine)
     u *= cones.spread[m, 0]
     v *= cones.spread[m, 1]
     square = 1.0 + 2.0 * (u * terms[m, LEAN_X] + v * terms[m, LEAN_Y]) + u * u + v * v
@@ -257,11 +281,11 @@ def _irradiance(cones, terms, m, i, j, shape, row, beam, both):
 
 
 @device
-def _arriving(mask, shape, row, beam, cones, terms, m, both):
+def _arriving(mask, shape, row, beam, cones, terms, m, side):
     """(irradiance of cone m's lamp, what the blocked sub-rays in `mask` leave of it)."""
     total, left = 0.0, 0.0
     for b in range(64):
-        e = _irradiance(cones, terms, m, b & 7, b >> 3, shape, row, beam, both)
+        e = _irradiance(cones, terms, m, b & 7, b >> 3, shape, row, beam, side)
         total += e
         if (mask >> np.uint64(b)) & np.uint64(1) == np.uint64(0):
             left += e
@@ -269,19 +293,22 @@ def _arriving(mask, shape, row, beam, cones, terms, m, both):
 
 
 @uncounted
-def take_shares(masks, lamps, i, cones: Cones, terms, behind, rows, count, share):
+def take_shares(masks, lamps, i, cones: Cones, terms, behind, rows, count, share, beneath):
     """share (N,) float32 of points rows[0..count]: what the blocked sub-rays in `masks` leave of lamp i's irradiance.
 
-    cones, terms, behind: of lamp_cones.
+    beneath (N,) float32: of what of the lamp is behind the surface. cones, terms, behind: of lamp_cones.
     """
     shape, row = lamps.shape[i], lamps.values[i]
     beam = row[SPOT] != 0.0 or row[TAN_SPREAD] < math.inf
     for m in range(count):
-        mask, k = masks[m], rows[m]
-        if mask == np.uint64(0):
-            share[k] = 1.0
-            continue
-        total, left = _arriving(mask, shape, row, beam, cones, terms, m, behind[k] == ALL)
-        if total == 0.0 and behind[k] == BUMPS:
-            total, left = _arriving(mask, shape, row, beam, cones, terms, m, True)
-        share[k] = left / total if total > 0.0 else 1.0
+        mask, k, side = masks[m], rows[m], terms[m, SIDE]
+        left = 1.0
+        if mask != np.uint64(0):
+            total, left = _arriving(mask, shape, row, beam, cones, terms, m, side)
+            if total == 0.0 and behind[k] == BUMPS:
+                total, left = _arriving(mask, shape, row, beam, cones, terms, m, 0.0)
+            left = left / total if total > 0.0 else 1.0
+        if side >= 0.0:
+            share[k] = left
+        if side <= 0.0 or behind[k] != ALL:
+            beneath[k] = left

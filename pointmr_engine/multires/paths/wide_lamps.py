@@ -79,12 +79,13 @@ def _towards_lamp(lamps, i, p, normal, behind, u):
 
 
 @uncounted
-def lamp_rays(lamps, i, position, lobes, behind, offset, hits, depth, rows, u, count, out, total):
+def lamp_rays(lamps, i, position, below, lobes, behind, offset, hits, depth, rows, u, count, out, total):
     """Shadow rays from points rows[0..count] to places of lamp i; returns how many. u (N, 3): in 0..1, which places.
 
     Each brings the irradiance that it stands for, by the points' normals, which is added to total (N,) float64, by
-    point. position (N, 3) float64; behind (N,) uint8: lamp_cones.lit_from_behind; offset (N,) float64; depth (N,):
-    surfaces that let the path through before. out: direct_light.ShadowRays, of which a ray's slot is its point.
+    point. position (N, 3) float64, and below, where rays start that go behind the surface; behind (N,) uint8:
+    lamp_cones.lit_from_behind; offset (N,) float64; depth (N,): surfaces that let the path through before. out:
+    direct_light.ShadowRays, of which a ray's slot is its point.
     """
     n = np.int64(0)
     for j in range(count):
@@ -99,10 +100,11 @@ def lamp_rays(lamps, i, position, lobes, behind, offset, hits, depth, rows, u, c
         out.whole[n] = light
         out.passed[n] = depth[k]
         out.raised[n] = False
+        start = position if dot(row3(lobes.normal, k), (dx, dy, dz)) > 0.0 else below
         for a in range(3):
             out.light[n, a] = light
             out.matt[n, a] = out.glossy[n, a] = 0.0
-            out.rays.origin[n, a] = position[k, a]
+            out.rays.origin[n, a] = start[k, a]
         out.rays.direction[n, 0], out.rays.direction[n, 1], out.rays.direction[n, 2] = dx, dy, dz
         out.rays.t_min[n] = offset[k]
         out.rays.t_max[n] = distance * _SHORT
@@ -122,14 +124,15 @@ class WideLamps(SharingPaths):
         n = room
         self.width = np.empty(n, np.float32)
         self.behind_lit = np.empty(n, np.uint8)
-        self.raised = np.empty((n, 3))
+        self.raised, self.lowered = np.empty((2, n, 3))
         self.received, self.open = np.zeros((2, n, 3), np.float32)
         self.ones = np.ones(n)
-        self.share = np.ones((len(light.lamps.shape), n), np.float32)
-        self.rows = np.empty(n, np.int32)
-        self.terms = np.empty((n, TERMS))
-        self.cones = allocate_cones(n)
-        self.masks = np.empty(n, np.uint64)
+        # of each lamp's light, what arrives on the viewer's side of a surface, and behind it
+        self.share, self.beneath = np.ones((2, len(light.lamps.shape), n), np.float32)
+        self.rows = np.empty(2 * n, np.int32)
+        self.terms = np.empty((2 * n, TERMS))
+        self.cones = allocate_cones(2 * n)
+        self.masks = np.empty(2 * n, np.uint64)
         self.passes = self.stage.needs.transparent_shadows and len(light.lamps.shape) > 0
         if self.passes:
             self.through, self.total = allocate_samples(n), np.zeros(n)
@@ -145,33 +148,52 @@ class WideLamps(SharingPaths):
             rows = self._shadow(i, n)
             if len(rows):
                 self._add_through(now, i, rows, n, bounce)
-        self._shade(self.share, n, self.received)
+        self._shade(self.share, self.beneath, n, self.received)
         paths.add_radiance(now, self.samples, self.stage.limits, self.received[:n], self.ones[:n], n)
 
-    def _shade(self, share, n: int, out) -> None:
-        """Add what points 0..n send of the lamps to the viewer, of whose light `share` (lamps, N) arrives, to out."""
+    def _shade(self, share, beneath, n: int, out) -> None:
+        """Add what points 0..n send of the lamps to the viewer, of whose light `share` (lamps, N) arrives, to out;
+        `beneath` (lamps, N) of what of them is behind the surface."""
         self.light.split.shade(
-            self.lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, share, 0, n, out
+            self.lobes,
+            self.view.incoming,
+            self.frames.position,
+            self.flat,
+            self.alpha,
+            share,
+            beneath,
+            0,
+            n,
+            out,
         )
 
-    def _starts(self, i: int, n: int) -> np.ndarray:
-        """(N, 3) where what points 0..n send to lamp i starts."""
+    def _starts(self, i: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 3) where what points 0..n send to lamp i starts, and where what they send behind their surface does."""
         if not self.raises:
-            return self.frames.position
-        raise_points(
-            self.light.lamps, np.int64(i), self.stage.shader.geometry.tables, self.hits, self.frames,
-            self.lobes.normal, self.lobes.count, np.int64(n), *self.triangle, self.raised,
-        )  # fmt: skip
-        return self.raised
+            return self.frames.position, self.frames.position
+        for side, out in ((1.0, self.raised), (-1.0, self.lowered)):
+            raise_points(
+                self.light.lamps, np.int64(i), self.stage.shader.geometry.tables, self.hits, self.frames,
+                self.lobes.normal, self.lobes.count, np.int64(n), side, *self.triangle, out,
+            )  # fmt: skip
+            if not (self.behind_lit[:n] == ALL).any():
+                return self.raised, self.raised
+        return self.raised, self.lowered
 
     def _shadow(self, i: int, n: int) -> np.ndarray:
         """Fill the share of lamp i that arrives at points 0..n; returns those that see it through something: 0."""
-        lamps, share, masks, rows = self.light.lamps, self.share[i], self.masks, self.rows
-        share[:n] = 1.0
+        lamps, share, beneath, masks, rows = (
+            self.light.lamps,
+            self.share[i],
+            self.beneath[i],
+            self.masks,
+            self.rows,
+        )
+        share[:n] = beneath[:n] = 1.0
         if not lamps.cast_shadow[i]:
             return rows[:0]
         m = lamp_cones(
-            lamps, np.int64(i), self._starts(i, n), self.lobes.normal, self.behind_lit, self.width,
+            lamps, np.int64(i), *self._starts(i, n), self.lobes.normal, self.behind_lit, self.width,
             self.frames.offset, self.lobes.count, np.int64(n), self.cones, rows, self.terms,
         )  # fmt: skip
         self.counters["lamp_cones"] += m
@@ -185,17 +207,26 @@ class WideLamps(SharingPaths):
             for a in (*self.cones, self.terms, rows):
                 a[:m] = a[met]
             self.light.blocked(self.cones, m, masks, solid=True)
-            through = rows[:m][masks[:m] != everything].copy()
+            through = np.unique(rows[:m][masks[:m] != everything])
         take_shares(
-            masks, lamps, np.int64(i), self.cones, self.terms, self.behind_lit, rows, np.int64(m), share
+            masks,
+            lamps,
+            np.int64(i),
+            self.cones,
+            self.terms,
+            self.behind_lit,
+            rows,
+            np.int64(m),
+            share,
+            beneath,
         )
-        share[through] = 0.0
+        share[through] = beneath[through] = 0.0
         return through
 
     def _add_through(self, now, i: int, rows: np.ndarray, n: int, bounce: int) -> None:
         """Add what points `rows` send of lamp i, seen through surfaces by rays, to what points 0..n have received."""
         split, own, samples = self.light.split, self.through, self.samples
-        slots, start = now.slot[rows], self._starts(i, n)
+        slots, starts = now.slot[rows], self._starts(i, n)
         own.seed[rows], own.number[rows] = samples.seed[slots], samples.number[slots]
         own.radiance[rows], self.total[rows] = 0.0, 0.0
         chosen = np.zeros(n, np.bool_)
@@ -206,7 +237,7 @@ class WideLamps(SharingPaths):
             m = self.choose_points(now, n, chosen, bounce)
             self.shift_points(m, (i + 1 + look * len(self.share)) * NEXT)
             rays = lamp_rays(
-                split.alone[i], np.int64(0), start, self.lobes, self.behind_lit, self.frames.offset, self.hits,
+                split.alone[i], np.int64(0), *starts, self.lobes, self.behind_lit, self.frames.offset, self.hits,
                 now.state.transparent_depth, self.lit_rows, self.lit_u, np.int64(m), self.shadows, self.total,
             )  # fmt: skip
             self.samples = own  # their slots are points
@@ -215,6 +246,6 @@ class WideLamps(SharingPaths):
         share = np.zeros_like(self.share)
         share[i, rows] = 1.0
         self.open[rows] = 0.0
-        self._shade(share, n, self.open)
+        self._shade(share, share, n, self.open)
         arrived = own.radiance[rows] / np.maximum(self.total[rows], 1e-300)[:, None]
         self.received[rows] += self.open[rows] * arrived.astype(np.float32)
