@@ -22,9 +22,11 @@ class SplitLamps:
         self.alone = [rows_of(lamps, k, k + 1) for k in range(count)]
         self.even = rows_of(lamps, 0, count - len(self.nodes))
 
-    def shade(self, lobes, incoming, position, flat, alpha, share, beneath, first: int, n: int, out) -> None:
+    def shade(
+        self, lobes, incoming, position, flat, alpha, curved, share, beneath, first: int, n: int, out
+    ) -> None:
         """`lobe_light.shade_lamps` of all the lamps."""
-        view = lobes, incoming, position, flat, alpha
+        view = lobes, incoming, position, flat, alpha, curved
         even = len(self.even.shape)
         if even:
             shade_lamps(*view, self.even, share[:even], beneath[:even], np.int64(first), np.int64(n), out)

@@ -126,10 +126,11 @@ def bend_mirrors(lobes, variance, alpha, count):
     for k in range(count):
         for j in range(np.int64(lobes.count[k])):
             kind = lobes.kind[k, j]
-            if kind & KIND_MASK != REFLECTION:
+            glass = kind & KIND_MASK == GLASS  # that hardly bends is left to its cones
+            if kind & KIND_MASK != REFLECTION and not glass:
                 continue
             if kind & SINGULAR_LOBE:
-                if not variance[k] > 0.0:
+                if glass or not variance[k] > 0.0:
                     continue
                 alpha[k, j, 0] = alpha[k, j, 1] = math.sqrt(2.0 * np.float64(variance[k]))
             if np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1]) < BENT * np.float64(variance[k]):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.shading.lobe_light import widen_by_normals, widen_more
+from pointmr_engine.forward.shading.lobe_light import GAPS, widen_by_normals, widen_more
 from pointmr_engine.forward.shading.world_light import world_lobe
 from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones.cones import allocate_cones
@@ -52,9 +52,9 @@ ROOM = 6 * BATCH  # paths at once: fragments of a tile, and what the cones of ea
 AROUND = 0.5
 OF_SKY = 0.5  # of that, where a ray sees the world: its maps have a lobe's tails, which the ray was drawn from, too
 MOST = 3  # fragments of a cone
-# times the variance by which lobes are widened that is added for lamps that take rays: of a fragment's normals, and
-# behind, where a path stands for more than the part of a lobe that it keeps (AROUND)
-GAPS, BEHIND = 2.0, 8.0
+# times the variance by which lobes are widened that is added for lamps that take rays, behind first surfaces, where a
+# path stands for more than the part of a lobe that it keeps (AROUND)
+BEHIND = 8.0
 
 
 class ConePaths(WideLamps):
