@@ -123,9 +123,9 @@ def shape_of(mesh: Mesh, placed: np.ndarray, origin, target, width=0.01, mean=1.
     assert hits.triangle[0] >= 0
     out, curved = np.zeros((1, 6), np.float32), np.zeros(1, np.float32)
     spread_of_curvature(
-        geometry.tables, hits, -rays.direction.astype(np.float32), np.full(1, width, np.float32),
+        geometry.tables, hits, -rays.direction.astype(np.float32), rays.direction, np.full(1, width, np.float32),
         np.full(1, 4, np.int32), 4.0, -np.float32(mean) * rays.direction.astype(np.float32), np.zeros(1, np.int64),
-        np.int64(1), curved, np.zeros(1, np.float32), out, np.empty((3, 3)),
+        np.int64(1), curved, *np.zeros((2, 1), np.float32), out, np.empty((3, 3)),
     )  # fmt: skip
     a = out[0].astype(np.float64)
     return np.array([[a[0], a[1], a[2]], [a[1], a[3], a[4]], [a[2], a[4], a[5]]]), float(curved[0])

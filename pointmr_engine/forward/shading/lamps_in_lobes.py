@@ -36,11 +36,12 @@ BALL = 1.6  # ... its radius, if it were round: how far from it lobes may look; 
 
 
 @device
-def narrow_lobes(lobes, k, alpha, solid):
-    """Bits of the lobes of point k that are narrow for a lamp of so many steradians; alpha (N, L, 2): how rough."""
+def narrow_lobes(lobes, k, alpha, more, solid):
+    """Bits of the lobes of point k that are narrow for a lamp of so many steradians; alpha (N, L, 2): how rough, but
+    for so much squared roughness `more`."""
     bits = np.int64(0)
     for j in range(np.int64(lobes.count[k])):
-        rough = np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1])
+        rough = np.float64(alpha[k, j, 0]) * np.float64(alpha[k, j, 1]) + more
         base = lobes.kind[k, j] & KIND_MASK
         reflects = base == REFLECTION or base == ASHIKHMIN_SHIRLEY
         if reflects and rough > SINGULAR_ALPHA_SQUARED and NARROW * rough <= solid:
@@ -123,10 +124,11 @@ def point_beside_lobes(lobes, k, bits, wi, wo, solid, points):
 
 
 @device
-def hide_lobes(lobes, k, alpha, bits):
-    """Leave the lobes `bits` of point k out of what is evaluated, until they are widened; alpha (N, L, 2) is theirs."""
+def hide_lobes(lobes, k, alpha, more, bits):
+    """Leave the lobes `bits` of point k out of what is evaluated, until they are widened; alpha, more: as above."""
     for j in range(np.int64(lobes.count[k])):
         if (bits >> np.int64(j)) & 1:
             lobes.kind[k, j] |= SINGULAR_LOBE
-            lobes.data[k, j, ALPHA_X] = alpha[k, j, 0]
-            lobes.data[k, j, ALPHA_Y] = alpha[k, j, 1]
+            for side in range(2):
+                rough = np.float64(alpha[k, j, side])
+                lobes.data[k, j, ALPHA_X + side] = math.sqrt(rough * rough + more)

@@ -49,10 +49,9 @@ from pointmr_engine.shading.bsdf.widening import is_glossy, note_mirror, set_rou
 from pointmr_engine.shading.lobes import evaluate
 
 ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, has had its transparency added
-# times the variance of a smooth surface's normals in a fragment by which lobes are widened that is added for lamps that
-# are small: neighbours' lobes leave no gaps between them
-GAPS = 2.0
-_FILLS = 1.0 / (12.0 * math.pi)  # of a lamp's solid angle: the variance from which on it fills them
+FILLS = (
+    0.025  # of a lamp's solid angle: the variance of gaps that it fills by itself, if it is as long as wide
+)
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
 
 
@@ -136,13 +135,13 @@ def _ball(cosine):
 
 
 @uncounted
-def shade_lamps(lobes, incoming, position, flat, alpha, curved, lamps, shadow, beneath, first, count, out):
+def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, beneath, first, count, out):
     """Add the lamps' light that points 0..count send to the viewer to out (N, 3) float32.
 
     incoming (N, 3) float32 to the viewer; position (N, 3) float64; flat (N,) float32, alpha (N, L, 2) as
-    widen_by_normals left it; curved (N or 0,) float32: variance of the slopes by which a smooth surface bends in a
-    footprint; shadow (lamps or 0, F) float32: share that arrives at fragments first..., and beneath (lamps or 0, F) of
-    what of a lamp is behind the surface, the same if it is of none.
+    widen_by_normals left it; gaps (N or 0,) float32: variance of slopes by which lobes are wider for small lamps, lest
+    these be seen in gaps between footprints; shadow (lamps or 0, F) float32: share that arrives at fragments first...,
+    and beneath (lamps or 0, F) of what of a lamp is behind the surface, the same if it is of none.
     """
     for k in range(count):
         if lobes.count[k] == 0:
@@ -154,7 +153,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, curved, lamps, shadow, b
         plane = np.float64(flat[k])
         r = g = b = 0.0
         widened = False
-        bends = np.float64(curved[k]) if len(curved) > 0 else 0.0
+        gap = np.float64(gaps[k]) if len(gaps) > 0 else 0.0
         for i in range(len(lamps.shape)):
             arrives = below = 1.0
             if len(shadow) > 0:
@@ -181,19 +180,19 @@ def shade_lamps(lobes, incoming, position, flat, alpha, curved, lamps, shadow, b
             seen = lamps.visibility[i]
             bits = np.int64(0)
             if solid > 0.0:
+                more = 2.0 * max(gap - FILLS * solid / length_of_lamp(lamps, np.int64(i)), 0.0)
                 if seen & GLOSSY:
-                    bits = narrow_lobes(lobes, np.int64(k), alpha, solid)
+                    bits = narrow_lobes(lobes, np.int64(k), alpha, more, solid)
                 if bits != 0:
-                    _widen(lobes, np.int64(k), alpha, 0.0)
+                    _widen(lobes, np.int64(k), alpha, more)
                     x, y, z = lamp_in_lobes(
                         lobes, np.int64(k), bits, wi, lamps, np.int64(i), px, py, pz, (dx, dy, dz), solid,
                         length_of_lamp(lamps, np.int64(i)), np.float64(points), first + k,
                     )  # fmt: skip
                     r, g, b = r + arrives * x, g + arrives * y, b + arrives * z
-                gaps = 2.0 * GAPS * max(bends - solid * _FILLS, 0.0)
-                _widen(lobes, np.int64(k), alpha, gaps + _GLITTER * solid / (math.pi * points))
+                _widen(lobes, np.int64(k), alpha, more + _GLITTER * solid / (math.pi * points))
                 if bits != 0:
-                    hide_lobes(lobes, np.int64(k), alpha, bits)
+                    hide_lobes(lobes, np.int64(k), alpha, more, bits)
                 widened = True
             else:
                 if widened:

@@ -28,7 +28,7 @@ from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 
 BATCH = 8192  # fragments at once: their lobes stay in the cache
-NOT_CURVED = np.zeros(0, np.float32)
+NO_GAPS = np.zeros(0, np.float32)
 NO_SHARES = np.zeros((0, 0), np.float32)  # shadow maps tell no sides of a surface apart
 
 
@@ -103,7 +103,7 @@ class FullShading:
             own.frames.position,
             own.flat,
             own.alpha,
-            NOT_CURVED,
+            NO_GAPS,
             space.shadow,
             NO_SHARES,
             first,

@@ -23,10 +23,10 @@ class SplitLamps:
         self.even = rows_of(lamps, 0, count - len(self.nodes))
 
     def shade(
-        self, lobes, incoming, position, flat, alpha, curved, share, beneath, first: int, n: int, out
+        self, lobes, incoming, position, flat, alpha, gaps, share, beneath, first: int, n: int, out
     ) -> None:
         """`lobe_light.shade_lamps` of all the lamps."""
-        view = lobes, incoming, position, flat, alpha, curved
+        view = lobes, incoming, position, flat, alpha, gaps
         even = len(self.even.shape)
         if even:
             shade_lamps(*view, self.even, share[:even], beneath[:even], np.int64(first), np.int64(n), out)

@@ -21,6 +21,8 @@ from pointmr_engine.shading.bsdf.vector import cross, dot, normalized, row3
 BEYOND, BEYOND_OF_TEXTURES = 3.0, 0.5
 ALIKE = 0.9  # least cosine between the normal at a fragment's middle and that of its hit
 RIM = 0.45  # cosine to the viewer below which the hit's normal stays: wide lobes that graze lose light
+GAPS = 2.0  # times the variance of normals in a footprint that is added for small lamps
+STEEP = 0.3  # cosine to the viewer below which footprints grow no longer
 FLATTEST = 1e-5  # variance of slopes below which a footprint counts as flat
 SLIVER = 2.0  # squared change of normals per metre at most, against that along the edges
 
@@ -113,19 +115,22 @@ def bend_at(tables, hits, k, facing, out, q):
 
 @uncounted
 def spread_of_curvature(
-    tables, hits, facing, width, seen, whole, mean, rows, count, curved, spread, shape, q
+    tables, hits, facing, direction, width, seen, whole, mean, rows, count, curved, spread, gaps, shape,
+    q,
 ):  # fmt: skip
     """curved (N,) float32 at rows[0..count]: variance of the slopes of the normals over the footprints `width`.
 
-    spread (N,) float32: the same where it is worth noting. shape (N, 6) float32: shape_operator, as far as fragments
-    fill their footprints; stays 0 where triangles are shaded flat, which have no variance.
+    spread (N,) float32: the same where it is worth noting. gaps (N,) float32: what is added for small lamps, so that
+    neighbours' lobes leave no gaps between them; most of it where footprints are longer than wide. shape (N, 6)
+    float32: shape_operator, as far as fragments fill their footprints; stays 0 where triangles are shaded flat, which
+    have no variance.
 
     Neither is more than what the triangle's corners and what merged with it differ by: rims and seams bend less than
     their footprints would if they went on as they are.
 
-    hits: of those rows; facing (N, 3): normals to the viewer's side; tables: PartTables; seen (N,) int32: subpixels in
-    which each is seen, of which a footprint has `whole`; mean (N, 3) float32: of the unit normals of the triangles that
-    merged into each. q (3, 3) float64 to work in.
+    hits: of those rows; facing (N, 3): normals to the viewer's side; direction (N, 3) of the camera's rays; tables:
+    PartTables; seen (N,) int32: subpixels in which each is seen, of which a footprint has `whole`; mean (N, 3) float32:
+    of the unit normals of the triangles that merged into each. q (3, 3) float64 to work in.
     """
     for i in range(count):
         k = rows[i]
@@ -141,6 +146,9 @@ def spread_of_curvature(
             shape[k, a] *= math.sqrt(part)
         variance *= part
         curved[k] = min(variance, 2.0)
+        cosine = max(abs(dot(row3(facing, k), row3(direction, k))), STEEP)
+        longer = min(variance * (0.5 + 0.5 / (cosine * cosine)), max(most, variance))
+        gaps[k] = min((1.0 + GAPS) * longer - variance, 2.0)
         if variance > FLATTEST:
             spread[k] = curved[k]
 

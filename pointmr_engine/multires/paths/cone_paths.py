@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.shading.lobe_light import GAPS, widen_by_normals, widen_more
+from pointmr_engine.forward.shading.lobe_light import widen_by_normals, widen_more
 from pointmr_engine.forward.shading.world_light import world_lobe
 from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones.cones import allocate_cones
@@ -160,7 +160,7 @@ class ConePaths(WideLamps):
             super()._look_at_light(now, m, turn)
             return
         count, lobes = np.int64(self.lit_rows[:m].max(initial=-1) + 1), self.lobes
-        variance, times = (self.spread, BEHIND) if behind else (self.curved, GAPS)
+        variance, times = (self.spread, BEHIND) if behind else (self.gaps, 1.0)
         kinds = lobes.kind[:count].copy()
         widen_more(lobes, variance, times, self.alpha, count)
         super()._look_at_light(now, m, turn)

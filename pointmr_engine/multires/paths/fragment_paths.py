@@ -137,6 +137,7 @@ class FragmentPaths(Workspace):
         self.batch = BATCH  # fragments at once
         self.flat, self.spread = np.empty(n, np.float32), np.empty(n, np.float32)
         self.curved = np.zeros(n, np.float32)  # of `spread`: by how smooth triangles bend
+        self.gaps = np.zeros(n, np.float32)  # what is added for small lamps
         self.shape = np.zeros((n, 6), np.float32)  # curvature.shape_operator of these
         self.pixel, self.in_pixel = np.empty(n, np.int64), np.empty((0, 0), np.int32)
         self.coloured, self.let_pass = np.zeros(n, np.bool_), np.zeros(n, np.float32)
@@ -231,7 +232,7 @@ class FragmentPaths(Workspace):
         ):
             target[clump] = normals[clump]
         self.spread[clump], self.flat[clump] = 0.0, 1.0
-        self.curved[:count], self.shape[:count] = 0.0, 0.0
+        self.curved[:count], self.gaps[:count], self.shape[:count] = 0.0, 0.0, 0.0
         self.own_slopes.known[:count] = False
         self.coloured[:count] = False
         self.coloured[triangles] = True
@@ -239,9 +240,9 @@ class FragmentPaths(Workspace):
         self.coloured[:count] |= self.by_view[:count]
         tables = self.stage.shader.geometry.tables
         spread_of_curvature(
-            tables, hits, frame.smooth_normal, now.state.width, f.count[first : first + count],
+            tables, hits, frame.smooth_normal, now.rays.direction, now.state.width, f.count[first : first + count],
             np.float64(space.cell**2), f.geometric[first : first + count], triangles, np.int64(len(triangles)),
-            self.curved, self.spread, self.shape, np.empty((3, 3)),
+            self.curved, self.spread, self.gaps, self.shape, np.empty((3, 3)),
         )  # fmt: skip
         self._look_at_clumps(space, hierarchy, now, first, clump)
         start_rays(now.rays, hits, self.frames, n_)

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.shading.lamp_points import sees_a_part
-from pointmr_engine.forward.shading.materials import NOT_CURVED
+from pointmr_engine.forward.shading.materials import NO_GAPS
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.cones.lamp_cones import (
     ALL,
@@ -129,7 +129,7 @@ class WideLamps(SharingPaths):
         self.received, self.open = np.zeros((2, n, 3), np.float32)
         self.ones = np.ones(n)
         # of each lamp's light, what arrives on the viewer's side of a surface, and behind it
-        self.bent = NOT_CURVED  # by how much surfaces bend, of those that are seen directly
+        self.open_gaps = NO_GAPS  # FragmentPaths.gaps, of what is seen directly
         self.share, self.beneath = np.ones((2, len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(2 * n, np.int32)
         self.terms = np.empty((2 * n, TERMS))
@@ -142,7 +142,7 @@ class WideLamps(SharingPaths):
     def light_wide_lamps(self, now, n: int, bounce: int) -> None:
         """Add the light of lamps that take cones."""
         lobes, lamps, count = self.lobes, self.light.lamps, np.int64(n)
-        self.bent = self.curved if bounce == 0 else NOT_CURVED
+        self.open_gaps = self.gaps if bounce == 0 else NO_GAPS
         self.received[:n] = 0.0
         reach = np.where(np.isfinite(self.hits.t[:n]), self.hits.t[:n], 0.0)
         self.width[:n] = now.state.width[:n] + now.state.spread[:n] * reach
@@ -158,8 +158,8 @@ class WideLamps(SharingPaths):
         """Add what points 0..n send of the lamps to the viewer, of whose light `share` (lamps, N) arrives, to out;
         `beneath` (lamps, N) of what of them is behind the surface."""
         self.light.split.shade(
-            self.lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, self.bent, share, beneath, 0,
-            n, out,
+            self.lobes, self.view.incoming, self.frames.position, self.flat, self.alpha, self.open_gaps, share, beneath,
+            0, n, out,
         )  # fmt: skip
 
     def _starts(self, i: int, n: int) -> tuple[np.ndarray, np.ndarray]:
