@@ -23,7 +23,7 @@ from pointmr_engine.scene.group import CAMERA
 
 TILE = 94  # pixels; with one more on each side for the filter, and four subpixels, whole blocks
 WIDE_TILE = 190  # where a pixel has two subpixels a side, or one: the buffers stay in the second-level cache
-LOOKS = 4  # of a pixel at lamps before the background, along each of its sides
+LOOKS = 4  # of a pixel at lamps before the background, along each of its sides, at least
 
 
 class Workspace:
@@ -298,12 +298,15 @@ class Workspace:
         x, y = x[near], y[near]
         if not len(x):
             return None
-        looks = LOOKS if s % LOOKS == 0 else s
+        looks = max(LOOKS, s // 2)
+        looks = looks if s % looks == 0 else s
         seen = np.zeros((high, looks, wide, looks, 3), np.float32)
         reach, own = np.full(len(x), np.inf), np.empty((len(x), 3), np.float32)
         for j, i in np.ndindex(looks, looks):
             own[:] = 0.0
-            lamps.add(*self._rays(x, y, (i + 0.5) / looks, (j + 0.5) / looks), reach, own)
+            # no two in one row or column, in which the edges of tubes would lie between looks
+            place = (i + (j + 0.5) / looks) / looks, (j + (i + 0.5) / looks) / looks
+            lamps.add(*self._rays(x, y, *place), reach, own)
             seen[y, j, x, i] = own
         seen = seen.reshape(high * looks, wide * looks, 3).repeat(s // looks, 0).repeat(s // looks, 1)
         seen *= self.uncovered()[: self.height, : self.width, None]

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, render, uniform_world
+from pointmr_engine import Group, Instances, Material, Mesh, RenderSettings, Scene, render, uniform_world
 from pointmr_engine.numerics.dither import ORDERS, RANKS, SIDE
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import from_above
@@ -52,8 +52,8 @@ def pane(n: int, z: float, turn: float, material: Material) -> Mesh:
     return Mesh(f"pane {z}", corners, triangles.astype(np.int32), materials=(material,))
 
 
-def panes(count: int, transparency: float) -> Scene:
-    """Black panes before a white sky, each of many triangles, seen from above."""
+def veil(transparency: float) -> Material:
+    """Black where it is not clear."""
     graph = Graph(
         {
             "black": Node("emission", {"color": (0.0, 0.0, 0.0), "strength": 0.0}),
@@ -63,7 +63,12 @@ def panes(count: int, transparency: float) -> Scene:
         },
         surface=Link("mix", "shader"),
     )  # fmt: skip
-    parts = [pane(24, 0.05 * k, 0.3 * k, Material("pane", graph)) for k in range(count)]
+    return Material("pane", graph)
+
+
+def panes(count: int, transparency: float) -> Scene:
+    """Panes before a white sky, each of many triangles, seen from above."""
+    parts = [pane(24, 0.05 * k, 0.3 * k, veil(transparency)) for k in range(count)]
     return Scene(Group("root", parts), from_above(3.0), [], uniform_world((1.0, 1.0, 1.0)))
 
 
@@ -74,3 +79,17 @@ def test_panes_behind_each_other_let_through_what_each_does(method, noise, count
     middle = frame.passes["combined"][6:18, 8:24, 0]
     assert middle.mean() == pytest.approx(0.6**count, abs=0.02)
     assert middle.std() < noise
+
+
+@pytest.mark.parametrize(("method", "noise"), [("raytrace", 0.07), ("forward", 0.1)])
+def test_placements_of_one_pane_behind_each_other_let_through_what_each_does(method, noise):
+    """Leaves are placements of one leaf: of a common order what is behind two was seen as behind one."""
+    one = Group("pane", [pane(6, 0.0, 0.0, veil(0.6))])
+    places = np.repeat(np.eye(3, 4)[None], 3, 0)
+    places[:, 2, 3] = 0.0, 0.05, 0.1
+    for count in (1, 2, 3):
+        root = Group("root", instances=[Instances((one,), places[:count])])
+        scene = Scene(root, from_above(3.0), [], uniform_world((1.0, 1.0, 1.0)))
+        middle = render(scene, RenderSettings(32, 24, method=method)).passes["combined"][6:18, 8:24, 0]
+        assert middle.mean() == pytest.approx(0.6**count, abs=0.02)
+        assert middle.std() < noise

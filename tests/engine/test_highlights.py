@@ -8,6 +8,7 @@ import pytest
 from benchmarks.forward.scenes import look
 from pointmr_engine import Camera, Group, Light, Scene, principled
 from tests.engine.small_scenes import quad
+from tests.engine.test_raytrace_glass import GLASS, ball
 from tests.engine.test_raytrace_light import DARK, image
 
 MIDDLE = np.s_[12:24, 18:30]
@@ -40,3 +41,43 @@ def test_highlights_are_as_wide_as_their_lobes(kind, roughness, view):
 def test_a_suns_highlights_by_forward_mapping(view):
     scene, exact = highlight(Light("SUN", AT, power=3.0, angle=0.05), 0.2, view)
     assert image(scene, method="forward")[MIDDLE].mean() == pytest.approx(exact, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [(3.0, 0.1), (0.1, 3.0), (3.0, 0.02)])
+@pytest.mark.parametrize("roughness", [0.1, 0.15])
+def test_tubes_are_seen_in_metal_from_end_to_end(roughness, size):
+    """A photographer's strip light: lobes that see a part of it had as little as 0.65 of its light."""
+    place = look((0.0, 2.0, 1.5), (0.0, 0.0, 0.0))
+    tube = Light("AREA", place, power=200.0, shape="RECTANGLE", size_x=size[0], size_y=size[1])
+    metal = principled(base_color=(0.8, 0.8, 0.8), metallic=1.0, roughness=roughness)
+    eye = Camera(look((0.0, -4.0, 3.0), (0.0, 0.0, 0.0)))
+    scene = Scene(Group("root", [quad(8.0, material=metal)]), eye, [tube], DARK)
+    exact, ours = image(scene, method="distributed", samples=256), image(scene)
+    assert ours.mean() == pytest.approx(exact.mean(), rel=0.05)
+    blocks = (a.reshape(6, 6, 6, 8, 3).mean((1, 3)) for a in (exact, ours))
+    exact, ours = blocks
+    assert np.abs(ours - exact).max() < 0.12 * exact.max()
+
+
+@pytest.mark.parametrize("angle", [0.05, 0.02])
+def test_suns_in_mirrored_balls_shine_alike_wherever_pixels_lie(angle):
+    """The reflection is smaller than a pixel, and seen obliquely: its light deviated by 0.78 and 0.44 of itself."""
+    chrome = principled(base_color=(0.8, 0.8, 0.8), metallic=1.0, roughness=0.0)
+    sun = Light("SUN", look((0.0, 4.0, 3.2), (0.0, 0.0, 0.0)), power=3.0, angle=angle)
+    shine = []
+    for size in range(30, 50, 2):
+        eye = Camera(look((0.0, -5.6, 2.2), (0.0, 0.0, 0.0)))
+        scene = Scene(Group("root", [ball(chrome)]), eye, [sun], DARK)
+        shine.append(image(scene, size=(size, size)).mean())
+    assert np.std(shine) < 0.2 * np.mean(shine)
+
+
+def test_glass_beads_show_a_sun():
+    """Curved glass is seen as a lobe, in which light samples did not look for lamps that take rays: 0.02 of its light."""
+    sun = Light("SUN", look((0.0, 4.0, 3.2), (0.0, 0.0, 0.0)), power=3.0, angle=0.02)
+    eye = Camera(look((0.0, -5.6, 2.2), (0.0, 0.0, 0.0)))
+    shine = []
+    for material in (GLASS, principled(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=1.5)):
+        scene = Scene(Group("root", [ball(material)]), eye, [sun], DARK)
+        shine.append(image(scene, size=(40, 40))[20:].mean())
+    assert shine[0] == pytest.approx(shine[1], rel=0.2)

@@ -10,6 +10,7 @@ from pointmr_engine import Camera, Group, Light, Material, Mesh, Scene, principl
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import CAMERA, VISIBLE, instance
+from tests.engine.instanced import sphere
 from tests.engine.small_scenes import from_above, quad
 from tests.engine.test_cut_outs import leaf, leaves
 from tests.engine.test_raytrace_glass import ball
@@ -132,3 +133,33 @@ def test_highlights_and_shadows_of_beams_have_no_noise(light):
     ours = np.array([image(scene, cache, seed=s) for s in range(4)])
     assert ours.std(0).mean() < 0.005 * exact.mean()
     assert np.abs(ours.mean(0) - exact).mean() < 0.05 * exact.mean()
+
+
+TUBE = Light("AREA", look((0, 2, 1), (0, 0, 0)), power=200.0, shape="RECTANGLE", size_x=3.0, size_y=0.1,
+             visibility=VISIBLE & ~CAMERA)  # fmt: skip
+WIDE_SUN = Light("SUN", look((3, -2, 3.5), (0, 0, 0)), power=3.0, angle=0.5)
+
+
+def shell(kind: str) -> Mesh:
+    """A ball of paper, or half clear."""
+    nodes = {
+        "d": Node("diffuse", {"color": (0.6, 0.5, 0.3)}),
+        "t": Node("transparent", {"color": (1.0, 1.0, 1.0)}),
+    }
+    nodes["l"] = Node("translucent", {"color": (0.6, 0.5, 0.3)})
+    nodes["m"] = Node("mix_shader", {"fac": 0.5, "shader": Link("d", "bsdf"), "shader_b": Link("t", "bsdf")})
+    material = Material(kind, Graph(nodes, Link("l", "bsdf") if kind == "paper" else Link("m", "shader")))
+    positions, triangles = sphere(24, 48)
+    normals = positions.astype(np.float32)
+    return Mesh(kind, positions, triangles, normals=normals, materials=(material,), terminator_offset=0.1)
+
+
+@pytest.mark.parametrize("light", [TUBE, WIDE_SUN], ids=["tube", "sun"])
+@pytest.mark.parametrize("kind", ["paper", "half clear"])
+def test_shells_are_lit_by_what_of_a_lamp_each_side_of_them_sees(kind, light):
+    """Where its plane cuts a lamp, paper was lit by what of it is on the viewer's side alone (it had 0.75 of the sun's
+    light); and a ray to a place of the lamp below the horizon told that nothing arrives (0.87 of the tube's).
+    """
+    eye = Camera(look((0, -0.9, -0.2), (0, 0.5, 0.3)) if kind == "paper" else look((0, -5, 2), (0, 0, 0)))
+    exact, ours = both(Scene(Group("root", [shell(kind)]), eye, [light], DARK), cones=1)
+    assert ours.mean() == pytest.approx(exact.mean(), rel=0.01 if kind == "paper" else 0.03)
