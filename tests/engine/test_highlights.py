@@ -73,7 +73,7 @@ def test_suns_in_mirrored_balls_shine_alike_wherever_pixels_lie(angle):
 
 
 def test_glass_beads_show_a_sun():
-    """Curved glass is seen as a lobe, in which light samples did not look for lamps that take rays: 0.02 of its light."""
+    """Curved glass is seen as a lobe, in which light samples looked for no lamps that take rays: 0.02 of it."""
     sun = Light("SUN", look((0.0, 4.0, 3.2), (0.0, 0.0, 0.0)), power=3.0, angle=0.02)
     eye = Camera(look((0.0, -5.6, 2.2), (0.0, 0.0, 0.0)))
     shine = []
