@@ -15,7 +15,7 @@ from pointmr_engine.raytracing.surface import Frames, RayState, gather, told_by_
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
-from pointmr_engine.shading.bsdf.widening import widen_lobes
+from pointmr_engine.shading.bsdf.widening import split_lobes, widen_lobes
 from pointmr_engine.shading.compiler import Slot
 from pointmr_engine.shading.footprint_mean import (
     OBLIQUE,
@@ -97,11 +97,15 @@ class Means(NamedTuple):
 
     values: list[tuple[np.ndarray, dict]]  # for program.fill_leaves
     slopes: Slopes | None  # of fine textures
-    rows: np.ndarray | None  # (n,) of points whose lobes are widened ...
+    seen: np.ndarray | None  # (n,) int64 of points whose lobes are split ...
+    rough: (
+        dict  # ... into two, (3, n) float32: roughnesses in parts of their mean, weight of the first; by name
+    )
+    rows: np.ndarray | None  # (n,) int64 of points whose lobes are widened ...
     variances: dict  # ... by these variances of slopes, (n,) float32: by the names of the lobes' normals
 
 
-NO_MEANS = Means([], None, None, {})
+NO_MEANS = Means([], None, None, {}, None, {})
 
 
 def _variances_of(plan: LeafPlan, means: Means) -> tuple[np.ndarray, np.ndarray]:
@@ -185,10 +189,17 @@ class Shader:
             if slopes is not None and means.slopes is not None:
                 fill_slopes(program, values, means.values, leaves, means.slopes, rows, slopes)
             for leaf, plan in zip(leaves, program.leaves, strict=True):
-                before = out.count[means.rows] if means.variances else None
+                before = out.count[rows]
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
-                if before is not None:
-                    widen_lobes(out, means.rows, before, *_variances_of(plan, means))
+                rough = plan.roughness if means.rough else None
+                if isinstance(rough, Slot) and (rough.step, rough.output) in means.rough:
+                    pairs = means.rough[rough.step, rough.output]
+                    split_lobes(
+                        out, rows[means.seen], before[means.seen], pairs, view.incoming, self.tables,
+                        plan.distribution == "multi_ggx",
+                    )  # fmt: skip
+                if means.variances:
+                    widen_lobes(out, rows[means.rows], before[means.rows], *_variances_of(plan, means))
 
     def _means(self, program: Program, rays, hits, frames, view, rows, state, detail) -> Means:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
@@ -207,16 +218,19 @@ class Shader:
         def points(needs: frozenset[str]):
             return lambda index: self._gather(rays, hits, frames, index, needs, state)
 
-        means, slopes, variances, widened = [], None, {}, None
+        means, slopes, variances, widened, rough = [], None, {}, None, {}
         if program.fine_needs:
-            found, slopes = footprint_means(
+            found, rough, slopes = footprint_means(
                 program.fine_values,
                 points(program.fine_needs),
                 rows[seen],
                 program.fine_reads,
                 self.seed,
                 None if detail is None else detail[rows[seen]] == SOME,
+                program.rough_names,
             )
+            for name, pairs in rough.items():
+                pairs[:2] /= np.maximum(found[name], 1e-6)
             means.append((seen, found))
         if program.normal_needs:
             wide, normals = normals_at_places(
@@ -227,7 +241,7 @@ class Shader:
                 self.seed,
                 program.normals_by_images,
             )
-            widened, found = rows[seen], {}
+            widened, found = seen, {}
             for name, places in normals.items():
                 whole = slope_variance(places.mean(0))
                 variances[name] = np.where(whole <= STEEPEST, np.minimum(whole, GENTLE), np.float32(0))
@@ -243,7 +257,8 @@ class Shader:
                     cosine[oblique],
                 )  # fmt: skip
                 means.append((seen[oblique], found))
-        return Means(means, slopes and slopes._replace(rows=seen[slopes.rows]), widened, variances)
+        slopes = slopes and slopes._replace(rows=seen[slopes.rows])
+        return Means(means, slopes, seen, rough, widened, variances)
 
     def transparency_at(
         self, rays: Rays, state: RayState, hits: Hits, frames: Frames, rows: np.ndarray

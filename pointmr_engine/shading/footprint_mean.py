@@ -55,15 +55,17 @@ def footprint_means(
     needs: frozenset[str],
     seed: int = 0,
     few: np.ndarray | None = None,
-) -> tuple[dict, Slopes | None]:
+    rough: frozenset = frozenset(),
+) -> tuple[dict, dict, Slopes | None]:
     """Values by name, each (n,) or (n, 3) float32: the means over the footprints of points `rows` (n,).
 
     run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
     with NEEDS. seed: another one has other places. few (n,) bool: points that are not worth more than the first places.
-    Also returns the slopes where values differ.
+    Also returns `two_values` (3, n) of those with names in `rough`, and the slopes where values differ.
     """
     found, places, sides = _at_places(run, gather, rows, needs, seed, 0, FIRST)
     mean = {name: v.mean(0) for name, v in found.items()}
+    pairs = {name: two_values(found[name]) for name in rough}
     chosen, slopes = np.arange(len(rows)), None
     for begin, end, apart in ((FIRST, MORE, ALIKE), (MORE, ALL, CONTRAST)):
         differ = _differ(found, apart)
@@ -78,9 +80,22 @@ def footprint_means(
         places = np.concatenate([places, other_places], 1)
         for name, v in found.items():
             mean[name][chosen] = v.mean(0)
+        for name in rough:
+            pairs[name][:, chosen] = two_values(found[name])
         along = _planes(places, found)
         slopes = Slopes(chosen, sides, along) if slopes is None else _with(slopes, differ, along)
-    return mean, slopes
+    return mean, pairs, slopes
+
+
+def two_values(values: np.ndarray) -> np.ndarray:
+    """(3, n) float32: two numbers and the weight of the first; mean, variance and skewness as of values (k, n)."""
+    mean = values.mean(0)
+    apart = values - mean
+    deviation = np.sqrt((apart**2).mean(0))
+    skew = 0.5 * (apart**3).mean(0) / np.maximum(deviation, 1e-9) ** 3
+    root = np.sqrt(1.0 + skew * skew)
+    low, high = mean - deviation * (root - skew), mean + deviation * (root + skew)
+    return np.stack([low, high, 0.5 * (1.0 + skew / root)]).astype(np.float32)
 
 
 def normals_at_places(

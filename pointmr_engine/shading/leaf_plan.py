@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointmr_engine.shading.compiler import Constant, Source
-from pointmr_engine.shading.leaves import COLUMNS
+from pointmr_engine.shading.leaves import COLUMNS, GLASS, GLOSSY, METALLIC, PRINCIPLED, REFRACTION
+
+GLOSSY_KINDS = (PRINCIPLED, GLOSSY, METALLIC, GLASS, REFRACTION)
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,12 @@ class LeafPlan:
     distribution: str
     max_lobes: int
     template: np.ndarray  # (1, columns) float32, the constant columns filled
+
+    @property
+    def roughness(self) -> Source | None:
+        """Of what is glossy; None: nothing is."""
+        at = COLUMNS[self.kind].index("roughness") if self.kind in GLOSSY_KINDS else -1
+        return next((source for first, _, source in self.columns if first == at), None)
 
     @property
     def varying_with(self) -> frozenset[str]:

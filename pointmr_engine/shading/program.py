@@ -179,7 +179,8 @@ class Program:
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
     transparency_needs, emission_needs, shown_needs: the same for `transparency`, `emission` and `shown`. fine_reads:
-        for `fine_values`; fine_needs: what shading.footprint_mean wants besides; both are empty where nothing is fine.
+        for `fine_values`, of which rough_names are roughnesses; fine_needs: what shading.footprint_mean wants besides;
+        all are empty where nothing is fine.
         normal_reads, normal_needs, image_reads, image_needs: the same for `normal_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
@@ -219,6 +220,8 @@ class Program:
         )
         self._fine_plan = Plan(steps, columns)
         self._fine_names = {(s.step, s.output) for s in columns}
+        rough = [leaf.roughness for leaf in leaves if leaf.roughness in columns]
+        self.rough_names = frozenset((s.step, s.output) for s in rough)
         self._normal_plan = Plan(steps, normals)
         self._normal_names = {(s.step, s.output) for s in normals}
         by_images = _decided(steps, [_is_image(step) for step in steps], through=True)
@@ -253,7 +256,8 @@ class Program:
         self.constant_emission: tuple[float, float, float] | None = None
         if all(isinstance(s, Constant) for s in emission):
             self.constant_emission = tuple(float(v) for v in self.emission(SurfacePoints(1))[0])
-        self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves)
+        # a lobe whose roughness differs within footprints may become two; a Principled leaf has room for that
+        self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves) + len(rough)
 
     def evaluate(self, points: SurfacePoints, means: Sequence[tuple[np.ndarray, dict]] = ()) -> list[Leaf]:
         """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies. Blocks are read-only.

@@ -82,7 +82,7 @@ def taken(points):
 def white(program, points, seed=0) -> np.ndarray:
     """(n,) mean of the texture over the footprints."""
     rows = np.arange(points.count)
-    means, _ = footprint_means(program.fine_values, taken(points), rows, program.fine_needs, seed)
+    means, _, _ = footprint_means(program.fine_values, taken(points), rows, program.fine_needs, seed)
     (value,) = means.values()
     return value[:, 0]
 

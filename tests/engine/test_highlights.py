@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.forward.scenes import look
-from pointmr_engine import Camera, Group, Light, Scene, principled
+from pointmr_engine import Camera, Group, Light, Material, Scene, principled
+from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import quad
 from tests.engine.test_raytrace_glass import GLASS, ball
 from tests.engine.test_raytrace_light import DARK, image
@@ -41,6 +42,25 @@ def test_highlights_are_as_wide_as_their_lobes(kind, roughness, view):
 def test_a_suns_highlights_by_forward_mapping(view):
     scene, exact = highlight(Light("SUN", AT, power=3.0, angle=0.05), 0.2, view)
     assert image(scene, method="forward")[MIDDLE].mean() == pytest.approx(exact, rel=0.03)
+
+
+@pytest.mark.parametrize("view", [0.9, 0.3])
+@pytest.mark.parametrize("kind", ["glossy", "principled"])
+def test_roughness_that_differs_within_a_pixel_has_tails_and_a_peak(kind, view):
+    """A lobe of the mean roughness had 0.42 of the light in a sun's reflection, and 0.89 far beside it."""
+    nodes = {
+        "c": Node("texture_coordinate"),
+        "k": Node("checker_texture", {"vector": Link("c", "object"), "scale": 40.0, "color1": (0.1, 0.1, 0.1),
+                                      "color2": (0.6, 0.6, 0.6)}),
+        "s": Node(kind, {"roughness": Link("k", "color")} | ({"metallic": 1.0} if kind == "principled" else {})),
+    }  # fmt: skip
+    metal = Material("metal", Graph(nodes, Link("s", "bsdf")))
+    eye = Camera(look((6 * math.sin(view), 0.0, 6 * math.cos(view)), (0.0, 0.0, 0.0)))
+    scene = Scene(
+        Group("root", [quad(4.0, material=metal)]), eye, [Light("SUN", AT, power=3.0, angle=0.05)], DARK
+    )
+    exact, ours = image(scene, method="distributed", samples=256)[MIDDLE].mean(), image(scene)[MIDDLE].mean()
+    assert ours == pytest.approx(exact, rel=0.05)
 
 
 @pytest.mark.parametrize("size", [(3.0, 0.1), (0.1, 3.0), (3.0, 0.02)])

@@ -12,14 +12,23 @@ from pointmr_engine.shading.bsdf.layout import (
     ALPHA_Y,
     BECKMANN,
     COAT,
+    COLUMN_COUNT,
     HAS_EVALUATION,
     KIND_MASK,
     MIRROR,
+    NORMAL,
     SINGULAR_ALPHA_SQUARED,
     SINGULAR_LOBE,
     TRANSLUCENT,
+    WEIGHT,
 )
+from pointmr_engine.shading.bsdf.setup import single_scattering
+from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
+# difference of roughnesses, in parts of their mean, that is worth another lobe; of a coat, which has a roughness of its
+# own, none is known
+UNEVEN = 0.3
+LEAST = 0.05  # of the mean roughness that what is smooth has at least
 FLATTEST = 1e-5  # squared roughness that is not worth telling from none, nor from rounding
 
 
@@ -67,3 +76,45 @@ def widen_lobes(lobes, rows, first, variance, of_coat):
                 if extra > x * y:
                     lobes.kind[i, j] = lobes.kind[i, j] | BECKMANN
                 set_roughness(lobes, i, j, x, y, extra)
+
+
+@device
+def _rougher(lobes, i, j, times, share, tables, cosine, compensated):
+    """Leave lobe j of point i this share of its weight, and `times` its roughness; cosine: of its normal to the viewer,
+    compensated: what facets lose to each other is added to the weight."""
+    kind, before = lobes.kind[i, j], 1.0
+    if compensated:
+        before = single_scattering(kind, lobes.data, i, j, tables, cosine)
+    x, y = np.float64(lobes.data[i, j, ALPHA_X]), np.float64(lobes.data[i, j, ALPHA_Y])
+    set_roughness(lobes, i, j, times * times * x, times * times * y, 0.0)
+    if compensated:
+        share *= before / single_scattering(kind, lobes.data, i, j, tables, cosine)
+    for c in range(4):  # WEIGHT, SAMPLE
+        lobes.data[i, j, WEIGHT + c] *= np.float32(share)
+
+
+@uncounted
+def split_lobes(lobes, rows, first, pairs, incoming, tables, compensated):
+    """Make two of glossy lobes whose roughness differs, of the points `rows` (m,) int64, from lobe first (m,) on.
+
+    pairs (3, m) float32: the roughnesses of both, in parts of the lobe's own, and the weight of the first: one lobe of
+    the mean roughness has neither the tails of what is rough nor the peak of what is smooth. A point without room
+    keeps it. incoming (N, 3) to the viewer; tables: albedo_tables.Tables; compensated: see `_rougher`.
+    """
+    room = np.int64(lobes.kind.shape[1])
+    for k in range(len(rows)):
+        i, less, more = np.int64(rows[k]), max(np.float64(pairs[0, k]), LEAST), np.float64(pairs[1, k])
+        if not more - less > UNEVEN:
+            continue
+        part, wi = np.float64(pairs[2, k]), row3(incoming, i)
+        for j in range(np.int64(first[k]), np.int64(lobes.count[i])):
+            kind, new = lobes.kind[i, j], np.int64(lobes.count[i])
+            if not is_glossy(kind) or kind & (COAT | SINGULAR_LOBE) or new == room:
+                continue
+            lobes.count[i] += 1
+            lobes.kind[i, new] = kind
+            for c in range(COLUMN_COUNT):
+                lobes.data[i, new, c] = lobes.data[i, j, c]
+            cosine = dot(load3(lobes.data, i, j, NORMAL), wi)
+            _rougher(lobes, i, j, less, part, tables, cosine, compensated)
+            _rougher(lobes, i, new, more, 1.0 - part, tables, cosine, compensated)
