@@ -25,6 +25,7 @@ from pointmr_engine.shading.footprint_mean import (
     footprint_means,
     nearer_to_mean,
     normals_at_places,
+    roughness_at_places,
     slope_variance,
     stretched_means,
 )
@@ -205,7 +206,8 @@ class Shader:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,
         normals, and images where it is seen obliquely. detail: see lobes_at.
         """
-        if not (program.fine_needs or program.normal_needs or program.image_needs):
+        needs = program.fine_needs, program.rough_needs, program.normal_needs, program.image_needs
+        if not any(needs):
             return NO_MEANS
         seen = (state.kind[rows] & (RAY_CAMERA | RAY_SINGULAR)) != 0
         seen &= (state.width[rows] > 0) | (state.spread[rows] > 0)
@@ -229,9 +231,11 @@ class Shader:
                 None if detail is None else detail[rows[seen]] == SOME,
                 program.rough_names,
             )
-            for name, pairs in rough.items():
-                pairs[:2] /= np.maximum(found[name], 1e-6)
             means.append((seen, found))
+        if program.rough_needs:
+            rough |= roughness_at_places(
+                program.rough_values, points(program.rough_needs), rows[seen], program.rough_reads, self.seed
+            )
         if program.normal_needs:
             wide, normals = normals_at_places(
                 program.normal_values,

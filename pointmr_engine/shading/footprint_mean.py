@@ -61,7 +61,8 @@ def footprint_means(
 
     run(points): the values at points, by name; needs: what it reads. gather(rows): the points with these fields, and
     with NEEDS. seed: another one has other places. few (n,) bool: points that are not worth more than the first places.
-    Also returns `two_values` (3, n) of those with names in `rough`, and the slopes where values differ.
+    Also returns `two_values` (3, n) of those with names in `rough`, in parts of their mean, and the slopes where values
+    differ.
     """
     found, places, sides = _at_places(run, gather, rows, needs, seed, 0, FIRST)
     mean = {name: v.mean(0) for name, v in found.items()}
@@ -88,14 +89,26 @@ def footprint_means(
 
 
 def two_values(values: np.ndarray) -> np.ndarray:
-    """(3, n) float32: two numbers and the weight of the first; mean, variance and skewness as of values (k, n)."""
+    """(3, n) float32: two numbers, in parts of the mean of values (k, n), and the weight of the first; variance and
+    skewness are those of the values."""
     mean = values.mean(0)
-    apart = values - mean
+    apart = (values - mean) / np.maximum(mean, 1e-6)
     deviation = np.sqrt((apart**2).mean(0))
     skew = 0.5 * (apart**3).mean(0) / np.maximum(deviation, 1e-9) ** 3
     root = np.sqrt(1.0 + skew * skew)
-    low, high = mean - deviation * (root - skew), mean + deviation * (root + skew)
+    low, high = 1.0 - deviation * (root - skew), 1.0 + deviation * (root + skew)
     return np.stack([low, high, 0.5 * (1.0 + skew / root)]).astype(np.float32)
+
+
+def roughness_at_places(run, gather, rows: np.ndarray, needs: frozenset[str], seed: int = 0) -> dict:
+    """`two_values` by name of what images decide, at the first places of footprints, unfiltered: in their pyramids lie
+    means alone. See `footprint_means`.
+    """
+    found = _at_places(run, gather, rows, needs, seed, 0, FIRST, 0.0)[0]
+    pairs = {name: two_values(v) for name, v in found.items()}
+    for of_few in pairs.values():
+        of_few[:2] = 1.0 + math.sqrt(OF_FEW) * (of_few[:2] - 1.0)
+    return pairs
 
 
 def normals_at_places(

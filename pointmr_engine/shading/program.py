@@ -181,7 +181,7 @@ class Program:
     transparency_needs, emission_needs, shown_needs: the same for `transparency`, `emission` and `shown`. fine_reads:
         for `fine_values`, of which rough_names are roughnesses; fine_needs: what shading.footprint_mean wants besides;
         all are empty where nothing is fine.
-        normal_reads, normal_needs, image_reads, image_needs: the same for `normal_values` and `image_values`.
+        normal_reads, normal_needs, rough_reads...: the same for `normal_values`, `rough_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
     masked: colours of its images count by their alpha, so that holes in them have none.
@@ -230,6 +230,11 @@ class Program:
         images = [s for s in images if s not in columns]
         self._image_plan = Plan(steps, images)
         self._image_names = {(s.step, s.output) for s in images}
+        of_images = [leaf.roughness for leaf in leaves if leaf.roughness in images]
+        self._rough_plan = Plan(steps, of_images)
+        self._of_images = {(s.step, s.output) for s in of_images}
+        self.rough_reads: frozenset[str] = self._rough_plan.needs
+        self.rough_needs: frozenset[str] = self.rough_reads | NEEDS if of_images else frozenset()
         self.image_reads: frozenset[str] = self._image_plan.needs
         self.image_needs: frozenset[str] = self.image_reads | NEEDS if images else frozenset()
         self.needs: frozenset[str] = self._plan.needs
@@ -257,7 +262,7 @@ class Program:
         if all(isinstance(s, Constant) for s in emission):
             self.constant_emission = tuple(float(v) for v in self.emission(SurfacePoints(1))[0])
         # a lobe whose roughness differs within footprints may become two; a Principled leaf has room for that
-        self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves) + len(rough)
+        self.max_lobes: int = sum(leaf.max_lobes for leaf in leaves) + len(rough) + len(of_images)
 
     def evaluate(self, points: SurfacePoints, means: Sequence[tuple[np.ndarray, dict]] = ()) -> list[Leaf]:
         """Leaves of the N points; a leaf's block has N rows, or 1 where nothing in it varies. Blocks are read-only.
@@ -288,6 +293,12 @@ class Program:
         with np.errstate(all="ignore"):
             memo = self._fine_plan.run(points)
         return {name: memo[name] for name in self._fine_names}
+
+    def rough_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
+        """Roughnesses that images decide and nothing fine does; reads `rough_reads`."""
+        with np.errstate(all="ignore"):
+            memo = self._rough_plan.run(points)
+        return {name: memo[name] for name in self._of_images}
 
     def normal_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
         """Normals that fine textures and images bend, of what may be sharp; reads `normal_reads`."""

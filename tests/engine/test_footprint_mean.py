@@ -133,7 +133,8 @@ def test_what_is_even_is_asked_at_a_few_places_only():
 def of_plane(run, n=300, width=0.1):
     """Slopes of the values of run(points) over n footprints of the plane that are seen from aside."""
     points = plane_points(np.random.default_rng(4).random((n, 2)), width, (0.6, 0.0, 0.8))
-    return footprint_means(run, taken(points), np.arange(n), frozenset({"position"}))
+    mean, _, slopes = footprint_means(run, taken(points), np.arange(n), frozenset({"position"}))
+    return mean, slopes
 
 
 def test_slopes_of_what_is_linear_are_exact():

@@ -8,6 +8,7 @@ import pytest
 from benchmarks.forward.scenes import look
 from pointmr_engine import Camera, Group, Light, Material, Scene, principled
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.texture import Image
 from tests.engine.small_scenes import quad
 from tests.engine.test_raytrace_glass import GLASS, ball
 from tests.engine.test_raytrace_light import DARK, image
@@ -44,16 +45,28 @@ def test_a_suns_highlights_by_forward_mapping(view):
     assert image(scene, method="forward")[MIDDLE].mean() == pytest.approx(exact, rel=0.03)
 
 
+def grain() -> Image:
+    """64 x 64 texels of 0.1 or 0.6 by chance."""
+    pixels = np.ones((64, 64, 4), np.float32)
+    pixels[..., :3] = np.random.default_rng(1).choice([0.1, 0.6], (64, 64, 1))
+    return Image("grain", pixels, "Non-Color")
+
+
 @pytest.mark.parametrize("view", [0.9, 0.3])
-@pytest.mark.parametrize("kind", ["glossy", "principled"])
+@pytest.mark.parametrize("kind", ["glossy", "principled", "image"])
 def test_roughness_that_differs_within_a_pixel_has_tails_and_a_peak(kind, view):
     """A lobe of the mean roughness had 0.42 of the light in a sun's reflection, and 0.89 far beside it."""
     nodes = {
         "c": Node("texture_coordinate"),
         "k": Node("checker_texture", {"vector": Link("c", "object"), "scale": 40.0, "color1": (0.1, 0.1, 0.1),
                                       "color2": (0.6, 0.6, 0.6)}),
-        "s": Node(kind, {"roughness": Link("k", "color")} | ({"metallic": 1.0} if kind == "principled" else {})),
+        "m": Node("mapping", {"vector": Link("c", "object"), "scale": (4.0, 4.0, 4.0)}),
+        "i": Node("image_texture", {"vector": Link("m", "vector")}, {"image": grain()}),
     }  # fmt: skip
+    rough = {"roughness": Link("i" if kind == "image" else "k", "color")}
+    nodes["s"] = (
+        Node("principled", rough | {"metallic": 1.0}) if kind == "principled" else Node("glossy", rough)
+    )
     metal = Material("metal", Graph(nodes, Link("s", "bsdf")))
     eye = Camera(look((6 * math.sin(view), 0.0, 6 * math.cos(view)), (0.0, 0.0, 0.0)))
     scene = Scene(
