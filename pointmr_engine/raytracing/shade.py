@@ -99,9 +99,7 @@ class Means(NamedTuple):
     values: list[tuple[np.ndarray, dict]]  # for program.fill_leaves
     slopes: Slopes | None  # of fine textures
     seen: np.ndarray | None  # (n,) int64 of points whose lobes are split ...
-    rough: (
-        dict  # ... into two, (3, n) float32: roughnesses in parts of their mean, weight of the first; by name
-    )
+    rough: dict  # ... into two: footprint_mean.two_values (3, n) of roughnesses, by name
     rows: np.ndarray | None  # (n,) int64 of points whose lobes are widened ...
     variances: dict  # ... by these variances of slopes, (n,) float32: by the names of the lobes' normals
 

@@ -130,7 +130,7 @@ def length_of_lamp(lamps, i):
 
 @device
 def _row_in_lobe(angle, width, least, most):
-    """How many points, a power of two, a lamp's side of `angle` rad is to lobes of this width, rad."""
+    """Points, a power of two from least to most, of a lamp's side of `angle` rad, at most `width` rad apart."""
     n = least
     while n < most and np.float64(n) * width < angle:
         n *= 2
@@ -146,9 +146,9 @@ def _grid_of_points(lamps, i, solid, sharp):
         longer = row[HALF_U] / row[HALF_V]
     across, up = _row_of_points(solid * longer), _row_of_points(solid / longer)
     if sharp > 0.0:
-        if shape == RECTANGLE and max(longer, 1.0 / longer) > LONG:
+        length = length_of_lamp(lamps, i)
+        if shape == RECTANGLE and length > LONG:
             width = CELL * sharp
-            length = max(longer, 1.0 / longer)
             short = _row_in_lobe(math.sqrt(solid / length), width, np.int64(1), np.int64(4))
             long = _row_in_lobe(math.sqrt(solid * length), width, np.int64(8), np.int64(64) // short)
             least_across, least_up = (long, short) if longer > 1.0 else (short, long)

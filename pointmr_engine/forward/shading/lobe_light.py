@@ -2,8 +2,8 @@
 maps.
 
 Nothing is random, so nothing is noisy: a lamp is one point where it looks small, up to sixteen where it is wide and 64
-where a surface sees a part of it, more of them along a rectangle's longer side. Lobes are widened by the part of the
-lamp that each point stands for, so that sharp highlights keep the lamp's size.
+where a surface sees a part of it, or a narrow lobe one of a tube; more along a rectangle's longer side. Lobes are
+widened by the part of the lamp that each point stands for, so that sharp highlights keep the lamp's size.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from pointmr_engine.shading.lobes import evaluate
 
 ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, has had its transparency added
 FILLS = (
-    0.025  # of a lamp's solid angle: the variance of gaps that it fills by itself, if it is as long as wide
+    0.025  # of a lamp's solid angle, over its length in widths: the variance of gaps that it fills by itself
 )
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
 

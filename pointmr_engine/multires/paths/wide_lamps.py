@@ -128,8 +128,8 @@ class WideLamps(SharingPaths):
         self.raised, self.lowered = np.empty((2, n, 3))
         self.received, self.open = np.zeros((2, n, 3), np.float32)
         self.ones = np.ones(n)
-        # of each lamp's light, what arrives on the viewer's side of a surface, and behind it
         self.open_gaps = NO_GAPS  # FragmentPaths.gaps, of what is seen directly
+        # of each lamp's light, what arrives on the viewer's side of a surface, and behind it
         self.share, self.beneath = np.ones((2, len(light.lamps.shape), n), np.float32)
         self.rows = np.empty(2 * n, np.int32)
         self.terms = np.empty((2 * n, TERMS))
@@ -177,13 +177,8 @@ class WideLamps(SharingPaths):
 
     def _shadow(self, i: int, n: int) -> np.ndarray:
         """Fill the share of lamp i that arrives at points 0..n; returns those that see it through something: 0."""
-        lamps, share, beneath, masks, rows = (
-            self.light.lamps,
-            self.share[i],
-            self.beneath[i],
-            self.masks,
-            self.rows,
-        )
+        lamps, masks, rows = self.light.lamps, self.masks, self.rows
+        share, beneath = self.share[i], self.beneath[i]
         share[:n] = beneath[:n] = 1.0
         if not lamps.cast_shadow[i]:
             return rows[:0]
@@ -204,17 +199,8 @@ class WideLamps(SharingPaths):
             self.light.blocked(self.cones, m, masks, solid=True)
             through = np.unique(rows[:m][masks[:m] != everything])
         take_shares(
-            masks,
-            lamps,
-            np.int64(i),
-            self.cones,
-            self.terms,
-            self.behind_lit,
-            rows,
-            np.int64(m),
-            share,
-            beneath,
-        )
+            masks, lamps, np.int64(i), self.cones, self.terms, self.behind_lit, rows, np.int64(m), share, beneath,
+        )  # fmt: skip
         share[through] = beneath[through] = 0.0
         return through
 
