@@ -2,7 +2,8 @@
 
 The lobe weighs the sub-rays, so that highlights of lamps have little noise, however narrow they are: light samples of a
 lamp hardly ever fall into a narrow lobe. What they find better, in the lobe's tails, is theirs (power heuristic; Veach
-1997): lobe_shares.share_with_lobes has the other half.
+1997): lobe_shares.share_with_lobes has the other half. Cones of mirrors and clear glass have them all: of one ray for
+each, lamps about as thin as a footprint would be too bright or too dark by how they lie in the image.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from pointmr_engine.raytracing.lamps import (
     lamp_pdf_scale,
 )
 from pointmr_engine.raytracing.light_tree import light_probability
-from pointmr_engine.raytracing.path_arrays import Paths
+from pointmr_engine.raytracing.path_arrays import NO_LAMPS, Paths
 from pointmr_engine.shading.bsdf.vector import row3
 
 
@@ -39,6 +40,12 @@ def finds_lamps(paths: Paths, lobes: LobeCones, m):
     n = lobes.normal
     reflects = n[m, 0] != 0 or n[m, 1] != 0 or n[m, 2] != 0
     return lobes.alpha[m] > 0 and reflects and paths.bsdf_pdf[m] == math.inf
+
+
+@device
+def _is_sharp(paths: Paths, lobes: LobeCones, m):
+    """Whether cone m is a mirror's, or clear glass's, that shows lamps by itself."""
+    return lobes.alpha[m] == 0.0 and paths.bsdf_pdf[m] == math.inf and not paths.flags[m] & NO_LAMPS
 
 
 @device
@@ -98,6 +105,19 @@ def _slopes(lobes, k, b):
 
 
 @device
+def _origin(cones, k, b):
+    """Where sub-ray b of cone k begins: beside others if the cone is a footprint."""
+    u = (0.25 * (b & 7) - 0.875) * np.float64(cones.start[k, 0])
+    v = (0.25 * (b >> 3) - 0.875) * np.float64(cones.start[k, 1])
+    o, a = row3(cones.origin, k), cones.axes[k]
+    return (
+        o[0] + u * a[0, 0] + v * a[1, 0],
+        o[1] + u * a[0, 1] + v * a[1, 1],
+        o[2] + u * a[0, 2] + v * a[1, 2],
+    )
+
+
+@device
 def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out, towards):
     """Add to row k of out what sub-ray b of cone k brings of lamps near[:count] that it meets within `stop`.
 
@@ -108,7 +128,7 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out,
     dx, dy, dz = direction_of(c, k, u, v)
     stretch = math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx / stretch, dy / stretch, dz / stretch
-    x, y, z = row3(c.origin, k)
+    x, y, z = _origin(c, k, b)
     nx, ny, nz = row3(lobes.normal, k)
     for i in range(count):
         lamp = np.int64(near[i])
@@ -117,10 +137,12 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out,
             continue
         pdf, scale = lamp_pdf_scale(lamps, lamp, x, y, z, nx, ny, nz, transmissive, dx, dy, dz, t)
         pdf *= light_probability(tree, tree.leaf_of_lamp[lamp], x, y, z, nx, ny, nz, transmissive)
-        own = OF_CONE * pdf_of(lobes, k, np.float64(lobes.alpha[k]), (dx, dy, dz))
-        if not own > 0.0:
-            continue
-        ratio = pdf / own
+        ratio = 0.0
+        if lobes.alpha[k] > 0.0:
+            own = OF_CONE * pdf_of(lobes, k, np.float64(lobes.alpha[k]), (dx, dy, dz))
+            if not own > 0.0:
+                continue
+            ratio = pdf / own
         scale *= lobes.weights[k, b] / (1.0 + ratio * ratio)
         for a in range(3):
             out[k, a] += lamps.radiance[lamp, a] * scale
@@ -131,9 +153,11 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out,
 
 @uncounted
 def lamps_in_cones(
-    lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, near, out, towards
+    lamps, tree, met, paths: Paths, lobes: LobeCones, fragments, begin, n, sharp, rough, near, out, towards
 ):  # fmt: skip
     """Add to out (N, 3) float32 the radiance of lamps that the cones 0..n see, where they are to find it.
+
+    sharp, rough: whether cones of mirrors and clear glass are, whose paths see no lamps then, and those of lobes.
 
     towards (N, 3) float64, added to as well: where they see it on the whole, of no length.
 
@@ -141,7 +165,8 @@ def lamps_in_cones(
     the cones meet; begin: see first_fragments; near (K,) int32 to work in.
     """
     for k in range(n):
-        if not finds_lamps(paths, lobes, k):
+        by_itself = sharp and _is_sharp(paths, lobes, np.int64(k))
+        if not (by_itself or rough and finds_lamps(paths, lobes, np.int64(k))):
             continue
         c, count = lobes.cones, np.int64(0)
         origin, axis = row3(c.origin, k), row3(c.axes[k], 2)
@@ -153,6 +178,8 @@ def lamps_in_cones(
                 count += 1
         if count == 0:
             continue
+        if by_itself:
+            paths.flags[k] |= NO_LAMPS
         for b in range(64):
             if lobes.weights[k, b] > 0:
                 stop = _stopped(fragments, begin[k], begin[k + 1], b)

@@ -279,7 +279,7 @@ class ConePaths(WideLamps):
                 light.acceleration, light.prefiltered()[1], lobes.cones, self.met_fragments, met.rays, hits,
                 self.escaped, None, 0, n, merging=merging, weights=lobes.weights,
             )  # fmt: skip
-            if bounce == 1 and light.many and len(light.lights.arrays.met_lamps):
+            if bounce == 1 and len(light.lights.arrays.met_lamps):
                 self._see_lamps(now, count, n)
         counts = follow_cones(
             now, lobes, self.met_fragments, self.escaped, np.int64(count), np.int64(n), np.int64(ROOM), met, hits,
@@ -296,14 +296,19 @@ class ConePaths(WideLamps):
         return self.meet(tile, met, then, total, bounce) if total else 0
 
     def _see_lamps(self, now, count: int, n: int) -> None:
-        """Add the lamps that the cones of n paths see, between the `count` fragments that they meet."""
+        """Add the lamps that the cones of n paths see, between the `count` fragments that they meet; those of mirrors
+        but of lamps with nodes, which rays meet where they are."""
         lights, fragments = self.light.lights, self.met_fragments
+        sharp, rough = not lights.nodes, self.light.many
+        if not (sharp or rough):
+            return
         begin, near = np.empty(n + 1, np.int64), np.empty(len(lights.arrays.met_lamps), np.int32)
         first_fragments(fragments, np.int64(count), begin)
 
         def find(lamps, met, out, towards) -> None:
             lamps_in_cones(
-                lamps, lights.arrays.tree, met, now, self.lobe_cones, fragments, begin, np.int64(n), near, out, towards
+                lamps, lights.arrays.tree, met, now, self.lobe_cones, fragments, begin, np.int64(n), sharp, rough, near,
+                out, towards,
             )  # fmt: skip
 
         self._add_lamps(now, n, find, self.lobe_cones.cones.origin)
