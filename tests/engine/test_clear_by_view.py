@@ -74,7 +74,7 @@ def close(scene: Scene, **values) -> None:
         render(scene, replace(SETTINGS, method=m, **values), cache=cache).passes["combined"].astype(float)
         for m in ("distributed", "raytrace")
     )
-    middle = np.s_[16:20, 22:26]
+    middle = np.s_[14:22, 20:28]  # dithers meet by chance in each pixel
     np.testing.assert_allclose(ours[middle].mean((0, 1)), exact[middle].mean((0, 1)), rtol=0.06, atol=0.01)
     assert np.abs(ours - exact)[..., :3].mean() <= 0.04 * exact[..., :3].mean()
 
