@@ -26,7 +26,7 @@ def means(
 ) -> tuple[float, ...]:
     """How bright a plane under a sun is, by `distributed` and by one and four cones; angles from its normal.
 
-    seeds: how many images of cones, for bumps that one place of a pixel stands for.
+    seeds: how many images of one cone, and fewer of four, for bumps that one place of a pixel stands for.
     """
     plane = quad(4.0, material=Material("plane", Graph(nodes, Link("s", "bsdf"), displacement)))
     eye = Camera(look((6 * math.sin(view), 0.3, 6 * math.cos(view)), (0.0, 0.0, 0.0)))
@@ -34,7 +34,8 @@ def means(
     scene = Scene(Group("root", [plane]), eye, [sun], DARK)
     middle = np.s_[10:26, 16:32]
     exact = image(scene, method="distributed", samples=256)[middle].mean()
-    cones = (np.mean([image(scene, cones=n, seed=k)[middle] for k in range(seeds)]) for n in (1, 4))
+    counts = {1: seeds, 4: max(seeds // 4, 1)}
+    cones = (np.mean([image(scene, cones=n, seed=k)[middle] for k in range(counts[n])]) for n in counts)
     return exact, *cones
 
 
@@ -106,5 +107,5 @@ def test_normal_maps_are_as_rough_from_afar_as_they_are(roughness, view):
         "n": Node("normal_map", {"color": Link("i", "color")}, {"space": "WORLD"}),
         "s": Node("glossy", {"roughness": roughness, "normal": Link("n", "normal")}),
     }
-    exact, *ours = means(nodes, None, view, 0.9, seeds=16)
-    assert ours == pytest.approx([exact, exact], rel=0.25)
+    exact, *ours = means(nodes, None, view, 0.9, seeds=32)
+    assert ours == pytest.approx([exact, exact], rel=0.2)
