@@ -13,6 +13,7 @@ import numpy as np
 from pointmr_engine.hierarchy.acceleration import EMPTY
 from pointmr_engine.multires.cones.cone_space import append
 from pointmr_engine.multires.cones.cone_walk import corner
+from pointmr_engine.multires.cones.cones import origin_of
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.pointers import load_f32, load_i32, load_i64
 from pointmr_engine.numerics.simd import BLOCK_FLOATS
@@ -173,8 +174,7 @@ def begin_sub_ray(cones, n, bit, out, row):
     """Begin the ray of row `row` as sub-ray `bit` of cone n; returns (its beginning, its direction), in cone space."""
     u, v = ((bit & 7) + 0.5) * 0.25 - 1.0, ((bit >> 3) + 0.5) * 0.25 - 1.0
     x, y, rays = u * cones.start[n, 0], v * cones.start[n, 1], out.rays
-    for k in range(3):
-        rays.origin[row, k] = cones.origin[n, k] + x * cones.axes[n, 0, k] + y * cones.axes[n, 1, k]
+    rays.origin[row, 0], rays.origin[row, 1], rays.origin[row, 2] = origin_of(cones, n, x, y)
     rays.t_min[row], rays.t_max[row] = cones.t_min[n], np.inf
     rays.visibility[row] = cones.visibility[n]
     return (x, y), (u * cones.spread[n, 0], v * cones.spread[n, 1], 1.0)

@@ -102,6 +102,16 @@ def jitter(x, y, z, width):
 
 
 @device
+def origin_of(c: Cones, m, x, y):
+    """The point beside where cone m begins, x and y metres along its axes."""
+    return (
+        c.origin[m, 0] + x * c.axes[m, 0, 0] + y * c.axes[m, 1, 0],
+        c.origin[m, 1] + x * c.axes[m, 0, 1] + y * c.axes[m, 1, 1],
+        c.origin[m, 2] + x * c.axes[m, 0, 2] + y * c.axes[m, 1, 2],
+    )
+
+
+@device
 def direction_of(c: Cones, m, u, v):
     """Where cone m looks at slopes u, v of its axes; not of unit length."""
     return (

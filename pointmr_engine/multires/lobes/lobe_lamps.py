@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.cones.cones import direction_of
+from pointmr_engine.multires.cones.cones import direction_of, origin_of
 from pointmr_engine.multires.lobes.lobe_shares import OF_CONE
 from pointmr_engine.multires.lobes.lobe_view import LobeCones, pdf_of, slopes_of
 from pointmr_engine.numerics.jit import device, uncounted
@@ -105,19 +105,6 @@ def _slopes(lobes, k, b):
 
 
 @device
-def _origin(cones, k, b):
-    """Where sub-ray b of cone k begins: beside others if the cone is a footprint."""
-    u = (0.25 * (b & 7) - 0.875) * np.float64(cones.start[k, 0])
-    v = (0.25 * (b >> 3) - 0.875) * np.float64(cones.start[k, 1])
-    o, a = row3(cones.origin, k), cones.axes[k]
-    return (
-        o[0] + u * a[0, 0] + v * a[1, 0],
-        o[1] + u * a[0, 1] + v * a[1, 1],
-        o[2] + u * a[0, 2] + v * a[1, 2],
-    )
-
-
-@device
 def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out, towards):
     """Add to row k of out what sub-ray b of cone k brings of lamps near[:count] that it meets within `stop`.
 
@@ -128,7 +115,9 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out,
     dx, dy, dz = direction_of(c, k, u, v)
     stretch = math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx / stretch, dy / stretch, dz / stretch
-    x, y, z = _origin(c, k, b)
+    # beside others, where the cone is a footprint
+    x, y = (0.25 * (b & 7) - 0.875) * c.start[k, 0], (0.25 * (b >> 3) - 0.875) * c.start[k, 1]
+    x, y, z = origin_of(c, k, x, y)
     nx, ny, nz = row3(lobes.normal, k)
     for i in range(count):
         lamp = np.int64(near[i])
