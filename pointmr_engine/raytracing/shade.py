@@ -188,7 +188,7 @@ class Shader:
             if slopes is not None and means.slopes is not None:
                 fill_slopes(program, values, means.values, leaves, means.slopes, rows, slopes)
             for leaf, plan in zip(leaves, program.leaves, strict=True):
-                before = out.count[rows]
+                before = out.count[rows] if means.rough or means.variances else None
                 lobe_kernels.append(out, leaf, rows, view, self.tables, self.reflective, self.refractive)
                 rough = plan.roughness if means.rough else None
                 if isinstance(rough, Slot) and (rough.step, rough.output) in means.rough:

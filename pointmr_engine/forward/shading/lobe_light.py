@@ -48,6 +48,10 @@ from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
 from pointmr_engine.shading.bsdf.widening import is_glossy, note_mirror, set_roughness
 from pointmr_engine.shading.lobes import evaluate
 
+NO_GAPS = np.zeros(0, np.float32)  # of shade_lamps
+NO_SHARES = np.zeros(
+    (0, 0), np.float32
+)  # of what lies behind surfaces, where nothing tells their sides apart
 ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, has had its transparency added
 FILLS = (
     0.025  # of a lamp's solid angle, over its length in widths: the variance of gaps that it fills by itself
@@ -165,10 +169,10 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
             dx, dy, dz, solid, scale = _whole_lamp(
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
             )
-            sharp = 0.0
+            sharp, longer = 0.0, length_of_lamp(lamps, np.int64(i))
             if solid > SHARP:
                 rough = _sharpest(lobes, np.int64(k), alpha)
-                if rough * math.pi < NARROWER * solid * length_of_lamp(lamps, np.int64(i)):
+                if rough * math.pi < NARROWER * solid * longer:
                     sharp = math.sqrt(rough)
             across, up, apart_u, apart_v = points_of_lamp(
                 lamps, np.int64(i), px, py, pz, normal, solid, sharp
@@ -180,14 +184,14 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
             seen = lamps.visibility[i]
             bits = np.int64(0)
             if solid > 0.0:
-                more = 2.0 * max(gap - FILLS * solid / length_of_lamp(lamps, np.int64(i)), 0.0)
+                more = 2.0 * max(gap - FILLS * solid / longer, 0.0)
                 if seen & GLOSSY:
                     bits = narrow_lobes(lobes, np.int64(k), alpha, more, solid)
                 if bits != 0:
                     _widen(lobes, np.int64(k), alpha, more)
                     x, y, z = lamp_in_lobes(
                         lobes, np.int64(k), bits, wi, lamps, np.int64(i), px, py, pz, (dx, dy, dz), solid,
-                        length_of_lamp(lamps, np.int64(i)), np.float64(points), first + k,
+                        longer, np.float64(points), first + k,
                     )  # fmt: skip
                     r, g, b = r + arrives * x, g + arrives * y, b + arrives * z
                 _widen(lobes, np.int64(k), alpha, more + _GLITTER * solid / (math.pi * points))

@@ -15,7 +15,13 @@ from pointmr_engine.forward.shading.fragment_surfaces import (
     place_values,
     surfel_frames,
 )
-from pointmr_engine.forward.shading.lobe_light import finish, shade_world, widen_by_normals
+from pointmr_engine.forward.shading.lobe_light import (
+    NO_GAPS,
+    NO_SHARES,
+    finish,
+    shade_world,
+    widen_by_normals,
+)
 from pointmr_engine.forward.shading.placement_values import NEEDS
 from pointmr_engine.forward.shading.varying_lamps import SplitLamps
 from pointmr_engine.raytracing.camera import window_coordinates
@@ -28,8 +34,6 @@ from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.albedo_tables import load_tables
 
 BATCH = 8192  # fragments at once: their lobes stay in the cache
-NO_GAPS = np.zeros(0, np.float32)
-NO_SHARES = np.zeros((0, 0), np.float32)  # shadow maps tell no sides of a surface apart
 
 
 class FullShading:

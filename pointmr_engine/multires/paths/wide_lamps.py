@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.shading.lamp_points import sees_a_part
-from pointmr_engine.forward.shading.materials import NO_GAPS
+from pointmr_engine.forward.shading.lobe_light import NO_GAPS
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.cones.lamp_cones import (
     ALL,
@@ -166,14 +166,18 @@ class WideLamps(SharingPaths):
         """(N, 3) where what points 0..n send to lamp i starts, and where what they send behind their surface does."""
         if not self.raises:
             return self.frames.position, self.frames.position
-        for side, out in ((1.0, self.raised), (-1.0, self.lowered)):
-            raise_points(
-                self.light.lamps, np.int64(i), self.stage.shader.geometry.tables, self.hits, self.frames,
-                self.lobes.normal, self.lobes.count, np.int64(n), side, *self.triangle, out,
-            )  # fmt: skip
-            if not (self.behind_lit[:n] == ALL).any():
-                return self.raised, self.raised
+        self._raise(i, n, 1.0, self.raised)
+        if not (self.behind_lit[:n] == ALL).any():
+            return self.raised, self.raised
+        self._raise(i, n, -1.0, self.lowered)
         return self.raised, self.lowered
+
+    def _raise(self, i: int, n: int, side: float, out: np.ndarray) -> None:
+        """lamp_cones.raise_points of points 0..n, to out (N, 3)."""
+        raise_points(
+            self.light.lamps, np.int64(i), self.stage.shader.geometry.tables, self.hits, self.frames,
+            self.lobes.normal, self.lobes.count, np.int64(n), side, *self.triangle, out,
+        )  # fmt: skip
 
     def _shadow(self, i: int, n: int) -> np.ndarray:
         """Fill the share of lamp i that arrives at points 0..n; returns those that see it through something: 0."""
