@@ -1,7 +1,8 @@
 """Pieces: triangles cut until none is longer than a given size, each with the exact moments of its own surface.
 
 The pieces are the candidates from which the sampling strategies choose: they sum exactly to the surface that they were
-cut from, which no number of random candidates does.
+cut from, which no number of random candidates does. Slivers, of which hair and grass are made, are cut across alone:
+they have no more pieces than their length asks for.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from pointmr_engine.scene.errors import SceneError
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
-_STACK = 256  # parts of one triangle that wait: a sliver is halved at most ~60 times in each of its edges
-_SLIVER = 4.0  # a triangle is halved, not divided regularly, while it is this many times as long as high
+_SLIVER = 4.0  # a triangle is cut across, not divided regularly, from this many times as long as high
+_NARROW = 0.5  # of the size: a needle's base up to which its strips are pieces
 _MOST = 2**31 - 1
 
 
 class Pieces(NamedTuple):
-    """C flat triangular pieces, in the order of the triangles that they are parts of, and in their space."""
+    """C flat pieces of three or four corners, in the order of their triangles, and in these triangles' space."""
 
     triangle: np.ndarray  # (C,) int32, index of the triangle
     position: np.ndarray  # (C, 3) float32, centroid
@@ -53,15 +54,14 @@ def positive(value: float, name: str) -> float:
 def cut(triangles: np.ndarray, size: float) -> Pieces:
     """Cut triangles (T, 3, 3) into pieces whose longest edge is at most `size` (both in one space).
 
-    Compact triangles are divided into k^2 congruent ones; slivers are halved across their longest edge first.
-    A triangle without area, or with a coordinate that is not finite, has no piece. Raises SceneError for a size that is
-    not positive and for more pieces than 2^31.
+    Compact triangles are divided into k^2 congruent ones; slivers are cut across into strips, narrow ones of which are
+    pieces. A triangle without area, or with a coordinate that is not finite, has no piece. Raises SceneError for a size
+    that is not positive and for more pieces than 2^31.
     """
     triangles = as_triangles(triangles)
     size = positive(size, "size of a piece")
-    stack = np.empty((_STACK, 6))
     count = np.zeros(len(triangles), np.int64)
-    _count(triangles, size, stack, count)
+    _count(triangles, size, count)
     first = np.zeros(len(triangles) + 1, np.int64)
     np.cumsum(count, out=first[1:])
     total = int(first[-1])
@@ -76,7 +76,7 @@ def cut(triangles: np.ndarray, size: float) -> Pieces:
         np.empty((total, 6), np.float32),
         np.empty(total, np.float32),
     )
-    _fill(triangles, size, stack, first, pieces)
+    _fill(triangles, size, first, pieces)
     return pieces
 
 
@@ -104,20 +104,6 @@ def _corner(triangles, t, u, v, k):
 
 
 @_jit
-def _edges(triangles, t, stack, top):
-    """Squared lengths of the three edges of a part, in the order of `halve`."""
-    a = b = c = 0.0
-    for k in range(3):
-        x = _corner(triangles, t, stack[top, 0], stack[top, 1], k)
-        y = _corner(triangles, t, stack[top, 2], stack[top, 3], k)
-        z = _corner(triangles, t, stack[top, 4], stack[top, 5], k)
-        a += (y - x) * (y - x)
-        b += (z - y) * (z - y)
-        c += (x - z) * (x - z)
-    return a, b, c
-
-
-@_jit
 def whole(part):
     """Make row 0 of part the whole triangle; a row holds u, v of three corners."""
     for k in range(6):
@@ -139,18 +125,103 @@ def halve(part, top, edge):
 
 
 @_jit
-def _divisions(area, a, b, c, size, room):
-    """Into how many parts an edge is divided; 0: the part is a sliver, to be halved."""
-    longest = math.sqrt(max(a, max(b, c)))
-    if longest <= size:
-        return 1
-    if room and longest * longest > _SLIVER * 2.0 * area:
-        return 0
-    return int(math.ceil(longest / size * (1.0 - 1e-12)))
+def _length(triangles, t, du, dv):
+    """Of a step in u and v."""
+    square = 0.0
+    for k in range(3):
+        x = triangles[t, 0, k]
+        square += (du * (triangles[t, 1, k] - x) + dv * (triangles[t, 2, k] - x)) ** 2
+    return math.sqrt(square)
 
 
 @_jit
-def _count(triangles, size, stack, count):
+def _side(triangles, t, part, row, edge):
+    """Length of a part's edge, in the order of `halve`."""
+    p, q = 2 * edge, 2 * ((edge + 1) % 3)
+    return _length(triangles, t, part[row, q] - part[row, p], part[row, q + 1] - part[row, p + 1])
+
+
+@_jit
+def _divisions(longest, size):
+    """Into how many parts an edge is divided."""
+    return 1 if longest <= size else int(math.ceil(longest / size * (1.0 - 1e-12)))
+
+
+@_jit
+def _needles(triangles, t, area, part):
+    """A triangle as needles in rows of part: tip, and two corners of a base that lies across; how many, 0: compact.
+
+    A sliver is one, or two that meet where its height stands on its longest edge.
+    """
+    whole(part)
+    longest, edge = 0.0, 0
+    for k in range(3):
+        length = _side(triangles, t, part, 0, k)
+        if length > longest:
+            longest, edge = length, k
+    height = 2.0 * area / longest
+    if longest <= _SLIVER * height:
+        return 0
+    i, j, k = edge, (edge + 1) % 3, (edge + 2) % 3
+    along = 0.0
+    for c in range(3):
+        a = triangles[t, i, c]
+        along += (triangles[t, k, c] - a) * (triangles[t, j, c] - a)
+    along = min(max(along / longest, 0.0), longest)
+    if along <= height:
+        _needle(part, 0, j, i, k, 0.0)
+        return 1
+    if longest - along <= height:
+        _needle(part, 0, i, j, k, 0.0)
+        return 1
+    _needle(part, 0, i, j, k, 1.0 - along / longest)
+    _needle(part, 1, j, i, k, along / longest)
+    return 2
+
+
+@_jit
+def _needle(part, row, tip, foot, other, back):
+    """Write the needle from corner `tip` to corners `foot`, moved `back` to the tip by this share, and `other`."""
+    for c in range(2):
+        p = 1.0 if tip == c + 1 else 0.0
+        q = 1.0 if foot == c + 1 else 0.0
+        part[row, c] = p
+        part[row, 2 + c] = q + back * (p - q)
+        part[row, 4 + c] = 1.0 if other == c + 1 else 0.0
+
+
+@_jit
+def _strips(triangles, t, part, row, size):
+    """(number of strips that a needle is cut into, whether each is a piece)."""
+    base = _side(triangles, t, part, row, 1)
+    longest = max(_side(triangles, t, part, row, 0), _side(triangles, t, part, row, 2))
+    if longest <= size:
+        return 1, True
+    if base > _NARROW * size:
+        return int(math.ceil(longest / max(base, size))), False
+    m = int(math.ceil(longest / size))
+    while _across(triangles, t, part, row, 1.0 - 1.0 / m, 1.0) > size:
+        m += 1 + m // 16
+    return m, True
+
+
+@_jit
+def _across(triangles, t, part, row, low, high):
+    """The longest distance in a strip of a needle, between two shares of the way from its tip to its base."""
+    result = high * _side(triangles, t, part, row, 1)
+    u, v = part[row, 0], part[row, 1]
+    for c in range(2):
+        p, q = 2 + 2 * c, 4 - 2 * c
+        pu, pv = part[row, p] - u, part[row, p + 1] - v
+        qu, qv = part[row, q] - u, part[row, q + 1] - v
+        result = max(result, _length(triangles, t, high * pu - low * pu, high * pv - low * pv))
+        result = max(result, _length(triangles, t, high * qu - low * pu, high * qv - low * pv))
+    return result
+
+
+@_jit
+def _count(triangles, size, count):
+    part = np.empty((2, 6))
     for t in range(len(triangles)):
         area, longest = measure(triangles, t)
         if area == 0.0:
@@ -161,61 +232,121 @@ def _count(triangles, size, stack, count):
         if longest / size > 1e8:
             count[t] = -1
             continue
-        whole(stack)
-        top, total, share = 0, 0, 1.0
-        while top >= 0:
-            a, b, c = _edges(triangles, t, stack, top)
-            share = _share(stack, top)
-            k = _divisions(area * share, a, b, c, size, top < _STACK - 1)
-            if k == 0:
-                halve(stack, top, 0 if a >= b and a >= c else (1 if b >= c else 2))
-                top += 1
-            else:
-                total += k * k
-                top -= 1
-            if total > _MOST:
-                total, top = -1, -1
-        count[t] = total
+        needles = _needles(triangles, t, area, part)
+        total = _divisions(longest, size) ** 2 if needles == 0 else 0
+        for n in range(needles):
+            m, narrow = _strips(triangles, t, part, n, size)
+            if narrow:
+                total += m
+                continue
+            for i in range(m):
+                total += (2 if i > 0 else 1) * _divisions(
+                    _across(triangles, t, part, n, i / m, (i + 1.0) / m), size
+                ) ** 2
+                if total > _MOST:
+                    break
+        count[t] = total if total <= _MOST else -1
 
 
 @_jit
-def _share(stack, top):
+def _share(part, row):
     """The part's share of its triangle's area."""
     return abs(
-        (stack[top, 2] - stack[top, 0]) * (stack[top, 5] - stack[top, 1])
-        - (stack[top, 4] - stack[top, 0]) * (stack[top, 3] - stack[top, 1])
+        (part[row, 2] - part[row, 0]) * (part[row, 5] - part[row, 1])
+        - (part[row, 4] - part[row, 0]) * (part[row, 3] - part[row, 1])
     )
 
 
 @_jit
-def _fill(triangles, size, stack, first, pieces):
+def _fill(triangles, size, first, pieces):
+    part = np.empty((2, 6))
     for t in range(len(triangles)):
         at = first[t]
         if first[t + 1] == at:
             continue
         area, longest = measure(triangles, t)
-        whole(stack)
-        top = 0
-        while top >= 0:
-            share = _share(stack, top)
-            a, b, c = _edges(triangles, t, stack, top)
-            k = _divisions(area * share, a, b, c, size, top < _STACK - 1) if longest > size else 1
-            if k == 0:
-                halve(stack, top, 0 if a >= b and a >= c else (1 if b >= c else 2))
-                top += 1
+        needles = _needles(triangles, t, area, part) if longest > size else 0
+        if needles == 0:
+            whole(part)
+            _divide(triangles, t, part, 0, area, _divisions(longest, size), at, pieces)
+        for n in range(needles):
+            m, narrow = _strips(triangles, t, part, n, size)
+            if narrow:
+                at = _cut_across(triangles, t, part, n, area, m, at, pieces)
             else:
-                at = _divide(triangles, t, stack, top, area * share, k, at, pieces)
-                top -= 1
+                at = _cut_up(triangles, t, part, n, area, m, size, at, pieces)
 
 
 @_jit
-def _divide(triangles, t, stack, top, area, k, at, pieces):
+def _cut_up(triangles, t, part, row, area, m, size, at, pieces):
+    """Write the pieces of m strips of a needle, each of two triangles, from index `at` on; the index after them."""
+    half = np.empty((1, 6))
+    u, v = part[row, 0], part[row, 1]
+    for i in range(m):
+        low, high = i / m, (i + 1.0) / m
+        k = _divisions(_across(triangles, t, part, row, low, high), size)
+        for second in range(2 if i > 0 else 1):
+            for c in range(3):
+                # a near corner and both far ones; then both near ones and the other far one
+                share = low if c == 0 or (second == 1 and c == 2) else high
+                p = 2 if c == 0 or (second == 0 and c == 1) else 4
+                half[0, 2 * c] = u + share * (part[row, p] - u)
+                half[0, 2 * c + 1] = v + share * (part[row, p + 1] - v)
+            at = _divide(triangles, t, half, 0, area * _share(half, 0), k, at, pieces)
+    return at
+
+
+@_jit
+def _cut_across(triangles, t, part, row, area, m, at, pieces):
+    """Write m strips of a needle as pieces from index `at` on; the index after them."""
+    area = area * _share(part, row)
+    u, v = part[row, 0], part[row, 1]
+    # from the tip to the middle of the base, and along the base
+    eu, ev = 0.5 * (part[row, 2] + part[row, 4]) - u, 0.5 * (part[row, 3] + part[row, 5]) - v
+    fu, fv = part[row, 4] - part[row, 2], part[row, 5] - part[row, 3]
+    e, f = np.empty(3), np.empty(3)
+    for k in range(3):
+        x = triangles[t, 0, k]
+        y, z = triangles[t, 1, k] - x, triangles[t, 2, k] - x
+        e[k], f[k] = eu * y + ev * z, fu * y + fv * z
+    for i in range(m):
+        # means of the way from the tip, and of its square, over a strip as wide as the way is far
+        low, high = i / m, (i + 1.0) / m
+        sums = low + high
+        mean = (low * low + low * high + high * high) / (1.5 * sums)
+        square = 0.5 * (low * low + high * high)
+        # mean of squares less the mean's square, without their cancellation
+        spread = (high - low) ** 2 * (low * low + 4.0 * low * high + high * high) / (18.0 * sums * sums)
+        pieces.triangle[at] = t
+        pieces.u[at] = u + mean * eu
+        pieces.v[at] = v + mean * ev
+        pieces.area[at] = area * (high - low) * sums
+        radius = 0.0
+        for way in (low - mean, high - mean):
+            for side in (-0.5, 0.5):
+                reach = 0.0
+                for k in range(3):
+                    reach += (way * e[k] + side * (mean + way) * f[k]) ** 2
+                radius = max(radius, reach)
+        pieces.radius[at] = math.sqrt(radius)
+        n = 0
+        for k in range(3):
+            pieces.position[at, k] = _corner(triangles, t, u + mean * eu, v + mean * ev, k)
+            for j in range(k, 3):
+                pieces.covariance[at, n] = spread * e[k] * e[j] + square / 12.0 * f[k] * f[j]
+                n += 1
+        at += 1
+    return at
+
+
+@_jit
+def _divide(triangles, t, part, row, area, k, at, pieces):
     """Write the k^2 congruent pieces of a part from index `at` on; the index after them."""
     inverse = 1.0 / k
     square = inverse * inverse
-    u0, v0 = stack[top, 0], stack[top, 1]
-    u1, v1 = (stack[top, 2] - u0) * inverse, (stack[top, 3] - v0) * inverse
-    u2, v2 = (stack[top, 4] - u0) * inverse, (stack[top, 5] - v0) * inverse
+    u0, v0 = part[row, 0], part[row, 1]
+    u1, v1 = (part[row, 2] - u0) * inverse, (part[row, 3] - v0) * inverse
+    u2, v2 = (part[row, 4] - u0) * inverse, (part[row, 5] - v0) * inverse
     r0 = r1 = r2 = 0.0
     m = 0
     for i in range(3):
@@ -224,7 +355,7 @@ def _divide(triangles, t, stack, top, area, k, at, pieces):
             mu = _corner(triangles, t, u0 + k * (u1 + u2) / 3.0, v0 + k * (v1 + v2) / 3.0, i)
             nu = _corner(triangles, t, u0 + k * (u1 + u2) / 3.0, v0 + k * (v1 + v2) / 3.0, j)
             for corner in range(3):
-                u, v = stack[top, 2 * corner], stack[top, 2 * corner + 1]
+                u, v = part[row, 2 * corner], part[row, 2 * corner + 1]
                 d = (_corner(triangles, t, u, v, i) - mu) * (_corner(triangles, t, u, v, j) - nu)
                 value += d
                 if i == j:
