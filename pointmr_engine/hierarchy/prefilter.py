@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.hierarchy.acceleration import EMPTY, Acceleration, aligned_empty
+from pointmr_engine.hierarchy.closed_shapes import is_closed
 from pointmr_engine.hierarchy.nesting import placed_group
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import address_of, load_f32, pointer_f64
@@ -21,8 +22,8 @@ from pointmr_engine.scene.group import VISIBLE
 # points are drawn as surface, from where as clumps
 SURFACE, CLUMP = 0.05, 0.3
 # columns of points while they are merged: sums as their names say, the area that is covered and the room that its parts
-# have to cover (means over all directions), the area if all were opaque
-_AREA, _MU, _V, _M, _SEEN, _ROOM, _SOLID, _RAW = 0, 1, 4, 10, 16, 17, 18, 19
+# have to cover (means over all directions), the area if all were opaque, and within a shape the sum A n
+_AREA, _MU, _V, _M, _SEEN, _ROOM, _SOLID, _NORMAL, _RAW = 0, 1, 4, 10, 16, 17, 18, 19, 22
 DISK = 0.8660254037844386
 
 
@@ -39,13 +40,13 @@ class Prefiltered(NamedTuple):
     mixed: bool  # False: everything is visible to all rays
     part_opacity: np.ndarray  # (parts,) float32, -1: look at the slot
     slot_opacity: np.ndarray  # (slots,) float32
-    # (groups, 19) float64: area, centroid about the group's centre, covariance, sum A n n^T, and what `_overlap` uses
+    # (groups, 22) float64: area, centroid about the group's centre, covariance, sum A n n^T, and what `_overlap` uses
     group_raw: np.ndarray
 
 
 @device
 def _add(total, raw):
-    """Merge one point into another, in place: (19,) float64."""
+    """Merge one point into another, in place: (22,) float64."""
     a, b = total[_AREA], raw[_AREA]
     if not b > 0.0:
         return
@@ -63,6 +64,8 @@ def _add(total, raw):
     total[_SEEN] += raw[_SEEN]
     total[_ROOM] += raw[_ROOM]
     total[_SOLID] += raw[_SOLID]
+    for k in range(_NORMAL, _NORMAL + 3):
+        total[k] += raw[k]
 
 
 @device
@@ -97,6 +100,8 @@ def _triangle(blocks, at, opacity, raw):
     raw[_M + 3], raw[_M + 4], raw[_M + 5] = s * ny * ny, s * ny * nz, s * nz * nz
     raw[_ROOM] = raw[_SEEN]
     raw[_SOLID] = 0.5 * double
+    half = 0.5 * opacity
+    raw[_NORMAL], raw[_NORMAL + 1], raw[_NORMAL + 2] = half * nx, half * ny, half * nz
     return True
 
 
@@ -152,6 +157,8 @@ def _placed(address, i, child, child_center, parent_center, raw):
     raw[_SOLID] = grown * child[_SOLID]
     for n in range(6):
         raw[_M + n] = raw[_M + n] / grown if grown > 0.0 else 0.0
+    for n in range(3):  # shapes are whole here: what they hide of themselves is off
+        raw[_NORMAL + n] = 0.0
 
 
 @device
@@ -191,6 +198,17 @@ def _overlap(raw):
 
 
 @device
+def _hide_backs(raw):
+    """Take off what a part of a closed surface hides of itself: its back, or its front where there is less of that.
+
+    Of a ball half of what faces all ways, a quarter of its area, as Cauchy's theorem has it for all that is convex.
+    """
+    x, y, z = raw[_NORMAL], raw[_NORMAL + 1], raw[_NORMAL + 2]
+    if raw[_AREA] > 0.999 * raw[_SOLID]:
+        raw[_SEEN] = min(raw[_SEEN], 0.25 * (raw[_AREA] + np.sqrt(x * x + y * y + z * z)))
+
+
+@device
 def _store(points, node, c, raw):
     """Write a point as kernels read it."""
     area = raw[_AREA]
@@ -218,8 +236,13 @@ def _store(points, node, c, raw):
 
 
 @uncounted
-def _shape_points(children, first, stop, blocks, block_triangles, first_triangle, opacity, points, raw, one):
-    """Points of a shape's nodes first..stop, the root first; raw (K, 16): of what nodes stand for."""
+def _shape_points(
+    children, first, stop, blocks, block_triangles, first_triangle, opacity, closed, points, raw, one
+):
+    """Points of a shape's nodes first..stop, the root first; raw (K, 22): of what nodes stand for.
+
+    closed: closed_shapes.is_closed of its triangles.
+    """
     for node in range(stop - 1, first - 1, -1):
         for k in range(_RAW):
             raw[node, k] = 0.0
@@ -241,9 +264,13 @@ def _shape_points(children, first, stop, blocks, block_triangles, first_triangle
                         if _triangle(blocks, 72 * block + lane, share, one[1]):
                             _add(one[0], one[1])
                 _overlap(one[0])
+                if closed:
+                    _hide_backs(one[0])
             _store(points, node, c, one[0])
             _add(raw[node], one[0])
         _overlap(raw[node])
+        if closed:
+            _hide_backs(raw[node])
 
 
 @device
@@ -338,8 +365,9 @@ def prefilter(acceleration: Acceleration, opacity: np.ndarray | None = None) -> 
     for s, root in enumerate(arrays.shape_root):
         if root >= 0:
             shares = _triangle_opacity(geometry, s, part_opacity, slot_opacity)
-            _shape_points(arrays.children, int(root), end(root), blocks, arrays.block_triangles,
-                          geometry.shapes[s].first_triangle, shares, points, raw, one)  # fmt: skip
+            shape = geometry.shapes[s]
+            _shape_points(arrays.children, int(root), end(root), blocks, arrays.block_triangles, shape.first_triangle,
+                          shares, is_closed(shape.positions, shape.triangles), points, raw, one)  # fmt: skip
             shape_raw[s] = raw[root]
     part_raw = np.ascontiguousarray(shape_raw[tables.shape]) if len(tables.shape) else shape_raw[:0]
     for g, root in enumerate(arrays.group_root):

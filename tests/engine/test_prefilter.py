@@ -10,6 +10,7 @@ from instanced import Flat, accelerate, nest, random_mesh, random_transforms, sp
 from small_scenes import quad
 
 from pointmr_engine.hierarchy.acceleration import EMPTY
+from pointmr_engine.hierarchy.closed_shapes import is_closed
 from pointmr_engine.hierarchy.prefilter import area_of, prefilter
 from pointmr_engine.scene.group import CAMERA, SHADOW, VISIBLE, Group, Instances, instance
 from pointmr_engine.scene.material import Material
@@ -17,6 +18,13 @@ from pointmr_engine.scene.mesh import Mesh
 
 seeds = st.integers(0, 2**32 - 1)
 UPPER = np.triu_indices(3)
+
+
+def box():
+    """A cube of 12 triangles that share 8 corners."""
+    p = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    return p, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
 
 
 def moments(corners):
@@ -117,12 +125,64 @@ def test_areas_seen_along_a_direction():
     assert area_of(points)[root].max() == pytest.approx(area, rel=0.03)
 
 
-def test_what_hides_itself_covers_no_more_than_its_outline():
-    p, t = sphere(48, 64)
-    _, acceleration = accelerate(Group("root", [Mesh("ball", p, t), quad(1e-6, 50.0)]))
+@settings(max_examples=25)
+@given(seeds)
+def test_a_closed_convex_body_covers_a_quarter_of_its_area(seed):
+    """Cauchy's theorem; the mean over directions, of balls and boxes and what they are when they are stretched."""
+    rng = np.random.default_rng(seed)
+    p, t = sphere(24, 32) if seed % 2 else box()
+    p = p @ np.diag(rng.uniform(0.5, 1.5, 3)) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    mesh = Mesh("body", p.astype(np.float32), t)
+    _, acceleration = accelerate(Group("root", [mesh, quad(1e-6, 50.0)]))
+    prefiltered, root = prefilter(acceleration), acceleration.arrays.group_root[-1]
+    body = int(np.argmax(area_of(prefiltered.points)[root]))
+    d = rng.normal(size=(4000, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    area = moments(mesh.positions[mesh.triangles])[0]
+    assert projected(prefiltered.points, root, body, d.T).mean() == pytest.approx(area / 4, rel=0.03)
+
+
+def pieces(mesh, count, seed=0):
+    """`count` copies of (positions, triangles) in one, each turned by chance and somewhere else."""
+    rng, (p, t) = np.random.default_rng(seed), mesh
+    turned = p @ np.linalg.qr(rng.normal(size=(count, 3, 3)))[0] + rng.normal(size=(count, 1, 3)) * 20.0
+    return turned.reshape(-1, 3), (t + len(p) * np.arange(count)[:, None, None]).reshape(-1, 3)
+
+
+def sheet(n):
+    """A square of n x n quads that share their corners."""
+    x, y = np.meshgrid(np.linspace(-1, 1, n + 1), np.linspace(-1, 1, n + 1))
+    at = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    quads = np.stack([at, at + 1, at + n + 2, at, at + n + 2, at + n + 1], 1).reshape(-1, 3)
+    return np.stack([x.ravel(), y.ravel(), 0 * y.ravel()], 1), quads
+
+
+def tube(sides, rings):
+    """An open tube of radius 0.1 along z, its corners shared."""
+    angle = np.arange(sides) * 2 * np.pi / sides
+    p = np.array([[0.1 * np.cos(a), 0.1 * np.sin(a), z] for z in range(rings) for a in angle])
+    at, on = np.arange(sides), (np.arange(sides) + 1) % sides
+    wall = np.stack([at, on, on + sides, at, on + sides, at + sides], 1).reshape(-1, 3)
+    return p, np.concatenate([wall + sides * k for k in range(rings - 1)])
+
+
+def test_bodies_are_closed_and_leaves_are_not():
+    ball, leaf, strand = sphere(24, 32), sheet(12), tube(6, 14)
+    holed = ball[0], ball[1][3:]
+    half = ball[0], ball[1][: len(ball[1]) // 2]
+    for shape in (box(), ball, holed, strand, sphere(300, 400)):
+        assert is_closed(*shape) and is_closed(*pieces(shape, 9))
+    for shape in (leaf, half, sheet(2), sheet(400), (ball[0], ball[1][::2]), (ball[0], ball[1][:0])):
+        assert not is_closed(*shape) and not is_closed(*pieces(shape, 9))
+
+
+def test_what_is_open_shows_both_its_sides():
+    p, t = pieces(sheet(12), 200)
+    _, acceleration = accelerate(
+        Group("root", [Mesh("leaves", p.astype(np.float32), t.astype(np.int32)), quad(1e-6, 50.0)])
+    )
     points, root = prefilter(acceleration).points, acceleration.arrays.group_root[-1]
-    seen = max(projected(points, root, c, (1, 0, 0)) for c in range(2))
-    assert 0.75 * np.pi < seen < 1.35 * np.pi  # of its surface's 4 pi
+    assert max(projected(points, root, c, (0, 0.6, 0.8)) for c in range(2)) > 0.4 * 800.0
 
 
 def test_opacity_scales_areas():

@@ -13,8 +13,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.cones.cones import direction_of, origin_of
-from pointmr_engine.multires.lobes.lobe_shares import OF_CONE
-from pointmr_engine.multires.lobes.lobe_view import LobeCones, pdf_of, slopes_of
+from pointmr_engine.multires.lobes.lobe_view import OF_CONE, LobeCones, finds_lights, pdf_of, slopes_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     ELLIPSE,
@@ -32,14 +31,6 @@ from pointmr_engine.raytracing.lamps import (
 from pointmr_engine.raytracing.light_tree import light_probability
 from pointmr_engine.raytracing.path_arrays import NO_LAMPS, Paths
 from pointmr_engine.shading.bsdf.vector import row3
-
-
-@device
-def finds_lamps(paths: Paths, lobes: LobeCones, m):
-    """Whether cone m is one of a reflection that finds what shines (scatter_lobes: integrated)."""
-    n = lobes.normal
-    reflects = n[m, 0] != 0 or n[m, 1] != 0 or n[m, 2] != 0
-    return lobes.alpha[m] > 0 and reflects and paths.bsdf_pdf[m] == math.inf
 
 
 @device
@@ -155,7 +146,7 @@ def lamps_in_cones(
     """
     for k in range(n):
         by_itself = sharp and _is_sharp(paths, lobes, np.int64(k))
-        if not (by_itself or rough and finds_lamps(paths, lobes, np.int64(k))):
+        if not (by_itself or rough and finds_lights(paths, lobes, np.int64(k))):
             continue
         c, count = lobes.cones, np.int64(0)
         origin, axis = row3(c.origin, k), row3(c.axes[k], 2)

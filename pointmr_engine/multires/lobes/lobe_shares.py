@@ -6,7 +6,14 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.lobes.lobe_view import inverse_ior, lobe_pdf, refracted_pdf, refraction
+from pointmr_engine.multires.lobes.lobe_view import (
+    OF_CONE,
+    inverse_ior,
+    lobe_pdf,
+    looks_of,
+    refracted_pdf,
+    refraction,
+)
 from pointmr_engine.multires.lobes.mirror_chains import blurs_lamps
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lights import LAMP, TRIANGLE
@@ -29,7 +36,6 @@ from pointmr_engine.shading.bsdf.layout import (
 from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 
 BENT = 4.0  # squared roughnesses in the variance of normals up to which a lobe is a mirror that bends
-OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks for lamps
 
 
 @device
@@ -46,14 +52,15 @@ def _is_shared(samples, i, glints):
 
 @uncounted
 def share_with_lobes(
-    lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, behind, integrated, count, kept
+    lobes, incoming, rows, samples, pdf, mis_of_lamp, glints, behind, cone_of, record, count, kept
 ):
     """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
 
     Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
-    the sample against the lobe's own (lobe_view.lobe_pdf, refracted_pdf). With `glints`, they look for lamps that rays
-    can meet, too (SEES_LAMPS), where they reflect, and where they refract `behind` first surfaces; what shines in first
-    refractions lies within their cones. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    the sample against the lobe's own (lobe_view.lobe_pdf, refracted_pdf), or against how close together its cones look,
+    the first of which cone_of (N, L) tells, of `record` (LobeCones): see scatter_lobes. With `glints`, they look for
+    lamps that rays can meet, too (SEES_LAMPS), where they reflect, and where they refract `behind` first surfaces; what
+    shines in first refractions lies within their cones. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
     """
     for i in range(count):
         if not _is_shared(samples, i, glints):
@@ -75,12 +82,13 @@ def share_with_lobes(
                         axis, bend, _ = refraction(normal, wi, inverse_ior(lobes, k, np.int64(j)), rough)
                         ratio = refracted_pdf(bend * bend, axis, w) / pdf[i]
                         share = 1.0 / (1.0 + ratio * ratio)
-                elif integrated[k, j] and not lamp:
-                    share = 0.0
+                elif cone_of[k, j] >= 0 and not lamp:
+                    ratio = looks_of(record, np.int64(cone_of[k, j]), w) / max(pdf[i], 1e-30)
+                    share = 1.0 / (1.0 + ratio * ratio)
                 elif pdf[i] > 0.0:
                     rough = mean_roughness(lobes, k, np.int64(j))
                     ratio = (
-                        (OF_CONE if integrated[k, j] else 1.0)
+                        (OF_CONE if cone_of[k, j] >= 0 else 1.0)
                         * lobe_pdf(rough * rough, normal, wi, w)
                         / pdf[i]
                     )
@@ -139,11 +147,11 @@ def bend_mirrors(lobes, variance, alpha, count):
 
 
 @uncounted
-def keep_lobes(lobes, alpha, chaos, integrated, count):
+def keep_lobes(lobes, alpha, chaos, cone_of, count):
     """Drop the lobes of points 0..count that only cones can follow: perfect mirrors, clear glass, and chaotic glass.
 
     chaos (N,): as of mirror_chains.follow_footprints.
-    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals and `bend_mirrors` left it; integrated (N, L): see
+    alpha (N, L, 2): their roughness as lobe_light.widen_by_normals and `bend_mirrors` left it; cone_of (N, L): see
     scatter_lobes.
     """
     for k in range(count):
@@ -157,7 +165,7 @@ def keep_lobes(lobes, alpha, chaos, integrated, count):
                 continue
             if kept != j:
                 lobes.kind[k, kept] = kind
-                integrated[k, kept] = integrated[k, j]
+                cone_of[k, kept] = cone_of[k, j]
                 alpha[k, kept, 0], alpha[k, kept, 1] = alpha[k, j, 0], alpha[k, j, 1]
                 for c in range(lobes.data.shape[2]):
                     lobes.data[k, kept, c] = lobes.data[k, j, c]

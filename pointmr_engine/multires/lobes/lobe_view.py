@@ -25,8 +25,12 @@ from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = -1.0, -2.0, -3.0
 _NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
 BY_LOBE = 0.0  # Paths.bsdf_pdf until the direction within the lobe is chosen
+OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks for what shines
+# of sub-rays beside a lobe's core, what they are worth there: the lobe differs within their cells
+OF_REST = 1.0 / 16.0
 NARROWEST = 1e-30  # what is found of a lobe at the middles of its cells, below which these tell nothing of it
-FINE = 4  # places per side at which the lobe is taken in cells that its core covers in part
+# places per side at which the lobe is taken in cells that its core covers in part, and in others beside it
+FINE, FINE_BESIDE = 4, 2
 
 
 class LobeCones(NamedTuple):
@@ -155,6 +159,29 @@ def _in_core(c, m, x, y, z):
 
 
 @device
+def looks_within(lobes: LobeCones, m, direction):
+    """Sub-rays per solid angle that cone m has in a direction, 0 beyond it: how well it finds what shines there."""
+    x, y, z = direction
+    c = lobes.cones
+    if not _in_core(c, m, x, y, z):
+        return 0.0
+    t = x * c.axes[m, 2, 0] + y * c.axes[m, 2, 1] + z * c.axes[m, 2, 2]
+    worth = OF_REST if lobes.part[m] == 2 else 1.0
+    return worth * 16.0 / (np.float64(c.spread[m, 0]) * np.float64(c.spread[m, 1]) * t * t * t)
+
+
+@device
+def looks_of(lobes: LobeCones, m, direction):
+    """The same of the lobe whose first cone is m; inf where that is the footprint, which tells all."""
+    if lobes.alpha[m] <= 0.0 or lobes.even[m]:
+        return math.inf
+    found = looks_within(lobes, m, direction)
+    if found > 0.0 or lobes.part[m] == 0:
+        return found
+    return looks_within(lobes, m + 1, direction)
+
+
+@device
 def _density(lobes: LobeCones, m, u, v, alpha2):
     """What the lobe of cone m sends through slopes (u, v), per area of slopes, times a constant; 0 in its core's."""
     c = lobes.cones
@@ -192,7 +219,7 @@ def _weigh(lobes: LobeCones, m):
     for b in range(64):
         u, v = ((b & 7) - 4.0) * wide_u, ((b >> 3) - 4.0) * wide_v
         across = max(abs(u + 0.5 * wide_u), abs(v + 0.5 * wide_v) * wide_u / max(wide_v, 1e-30))
-        n = np.int64(FINE if across < near else 1)
+        n = np.int64(1 if lobes.part[m] != 2 else FINE if across < near else FINE_BESIDE)
         w = 0.0
         for j in range(n):
             for i in range(n):
@@ -201,6 +228,14 @@ def _weigh(lobes: LobeCones, m):
         lobes.weights[m, b] = w
         total += w
     return total
+
+
+@device
+def finds_lights(paths: Paths, lobes: LobeCones, m):
+    """Whether cone m is one of a reflection that finds what shines (scatter_lobes: integrated)."""
+    n = lobes.normal
+    reflects = n[m, 0] != 0 or n[m, 1] != 0 or n[m, 2] != 0
+    return lobes.alpha[m] > 0 and reflects and paths.bsdf_pdf[m] == math.inf and lobes.blur[m] == 0
 
 
 @uncounted
@@ -341,6 +376,8 @@ def follow_cones(
         copy_path(paths, k, weight, out, np.int64(r))
         if paths.bsdf_pdf[k] == BY_LOBE:
             out.bsdf_pdf[r] = pdf_of(lobes, k, np.float64(lobes.alpha[k]), row3(out.rays.direction, r))
+        elif finds_lights(paths, lobes, k) and not lobes.even[k]:
+            out.bsdf_pdf[r] = looks_within(lobes, k, row3(out.rays.direction, r))
         out.rays.visibility[r] = paths.rays.visibility[k]
         share = math.sqrt(min(weight, 1.0))
         a = max(np.float64(lobes.alpha[k]), 0.0)

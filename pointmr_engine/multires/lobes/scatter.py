@@ -104,19 +104,19 @@ def _branch(chosen, weight, before, target, total):
 
 @uncounted
 def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of_albedo, bounce, alive, n, room, out,
-                  record, integrated, small, bent, curved, shape, turned, chaos, limit, glinting, shares, refractions,
+                  record, cone_of, small, bent, curved, shape, turned, chaos, limit, glinting, shares, refractions,
                   first_share, bounced, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
     At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
     path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
-    integrated (N, L) bool: lobes whose cones find all that shines on them, without chance. small (N,) bool: points
-    that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples look for lamps.
-    curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface. turned, chaos (N,):
-    as of mirror_chains.follow_footprints; they count behind it. limit: roughness above which lobes take rays; glinting:
-    throughput below which lobes look for lamps. shares, refractions: what rays of the first surfaces' lobes find is
-    shared by these rows, from first_share on (none: not at all). bounced (N,) float64: diffuse rays of first
-    surfaces. passed (2, L, 3) float64 to work in.
+    cone_of (N, L) int32: of lobes whose cones find what shines on them, without chance, the first cone; else -1. small
+    (N,) bool: points that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples
+    look for lamps. curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface.
+    turned, chaos (N,): as of mirror_chains.follow_footprints; they count behind it. limit: roughness above which lobes
+    take rays; glinting: throughput below which lobes look for lamps. shares, refractions: what rays of the first
+    surfaces' lobes find is shared by these rows, from first_share on (none: not at all). bounced (N,) float64: diffuse
+    rays of first surfaces. passed (2, L, 3) float64 to work in.
     """
     m = np.int64(0)
     sharing = bounce == 0 and len(shares.worth) > 0
@@ -143,6 +143,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             )
         total = max(_largest(clear), 0.0)
         for j in range(np.int64(lobes.count[k])):
+            cone_of[k, j] = -1
             r, g = passed_by(paths, lobes, np.int64(k), np.int64(j), tables_of_albedo, wi)
             total += _largest(r) + _largest(g)
             passed[0, j, 0], passed[0, j, 1], passed[0, j, 2] = r
@@ -178,7 +179,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             no_cone(record, m, STRAIGHT)
             m += 1
         for j in range(np.int64(lobes.count[k])):
-            integrated[k, j], begin = False, m
+            begin = m
             r, g = row3(passed[0], j), row3(passed[1], j)
             rough = mean_roughness(lobes, k, j)
             own = own_variance(lobes.kind[k, j], rough, np.float64(curved[k])) if bounce == 0 else -1.0
@@ -190,18 +191,18 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
             before += _largest(r)
             if f > 0.0:
                 r = (r[0] * f, r[1] * f, r[2] * f)
-                integrated[k, j] = (
-                    bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
-                )
+                integrated = bounce == 0 and not chosen and not ray and not small[k] and _largest(r) >= STRONG
                 u, v = lobe_place(tables, samples, slot, bounce, k, j)
                 times = rays_of(_largest(r), small[k]) if ray and bounce == 0 and not crowded else 1
                 r, f = (r[0] / times, r[1] / times, r[2] / times), f / times
                 for _ in range(times):
                     m = _reflect(
                         paths, np.int64(k), np.int64(j), hits, frames, lobes, limits, r, f, wi, u, v, out, m, record,
-                        glints, integrated[k, j], small[k], bent[k], rough, ray, crowded, own, shape,
+                        glints, integrated, small[k], bent[k], rough, ray, crowded, own, shape,
                     )  # fmt: skip
                     u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
+                if integrated and m > begin:
+                    cone_of[k, j] = begin
                 grow(out, begin, m, 2.0 * turned[k])
             largest = total if chosen else _largest(g)
             ray = takes_ray(lobes, np.int64(k), np.int64(j), rough, limit, largest, small[k], strong)

@@ -66,7 +66,7 @@ class ConePaths(WideLamps):
         if light.shares_bounces:  # twice as many rays of each
             self.batch = BATCH // 2
         self.strong_stage, self.weak_stage = self.stage, light.stage(stage, light.weak)
-        self.integrated = np.zeros((n, self.alpha.shape[1]), np.bool_)
+        self.cone_of = np.empty((n, self.alpha.shape[1]), np.int32)
         self.shared = np.empty((n, self.alpha.shape[1], 3), np.float32)
         self.passed = np.empty((2, self.alpha.shape[1], 3))
         self.none = np.zeros(n, np.bool_)
@@ -134,7 +134,7 @@ class ConePaths(WideLamps):
         lobes.count[:n][~alive] = 0
         if bends:
             bend_mirrors(lobes, self.curved, self.alpha, np.int64(n))
-        keep_lobes(lobes, self.alpha, self.chaos, self.integrated, np.int64(n))
+        keep_lobes(lobes, self.alpha, self.chaos, self.cone_of, np.int64(n))
         if bounce:
             weak = alive & self._weak(now, n)
             self.stage, self.glints, self.repeats = self.weak_stage, True, 1
@@ -203,7 +203,7 @@ class ConePaths(WideLamps):
             pdf = self._own_pdf(m, chosen)
             share_with_lobes(
                 self.lobes, self.view.incoming, self.lit_rows, chosen, pdf, self.light.lights.arrays.lamps.mis,
-                glints, self.small is None, self.integrated, np.int64(m), self.shared,
+                glints, self.small is None, self.cone_of, self.next_cones, np.int64(m), self.shared,
             )  # fmt: skip
         if self.asks == LAMP:
             self.shared_light.of_lamps(chosen, self.lit_rows[:m])
@@ -243,7 +243,7 @@ class ConePaths(WideLamps):
         self.going = scatter_lobes(
             now, self.samples, self.hits, self.frames, self.lobes, self.stage.limits, self.stage.tables,
             self.stage.shader.tables, np.int64(bounce), alive, np.int64(n), np.int64(ROOM), self.then, self.next_cones,
-            self.integrated, self.none if self.small is None else self.small, bent, self.curved, self.shape,
+            self.cone_of, self.none if self.small is None else self.small, bent, self.curved, self.shape,
             self.turned, self.chaos, self.limit, glinting, self.shared_light.lobes,
             self.shared_light.refractions, np.int64(self.first), self.bounced, self.passed,
         )  # fmt: skip
