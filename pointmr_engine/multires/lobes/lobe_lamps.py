@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.cones.cones import direction_of, origin_of
-from pointmr_engine.multires.lobes.lobe_view import OF_CONE, LobeCones, finds_lights, pdf_of, slopes_of
+from pointmr_engine.multires.lobes.lobe_view import LobeCones, finds_lights, looks_within, slopes_of
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     ELLIPSE,
@@ -118,8 +118,8 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out,
         pdf, scale = lamp_pdf_scale(lamps, lamp, x, y, z, nx, ny, nz, transmissive, dx, dy, dz, t)
         pdf *= light_probability(tree, tree.leaf_of_lamp[lamp], x, y, z, nx, ny, nz, transmissive)
         ratio = 0.0
-        if lobes.alpha[k] > 0.0:
-            own = OF_CONE * pdf_of(lobes, k, np.float64(lobes.alpha[k]), (dx, dy, dz))
+        if lobes.alpha[k] > 0.0 and not lobes.even[k]:
+            own = looks_within(lobes, k, (dx, dy, dz))
             if not own > 0.0:
                 continue
             ratio = pdf / own

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.lobes.lobe_view import (
-    OF_CONE,
     inverse_ior,
     lobe_pdf,
     looks_of,
@@ -82,16 +81,12 @@ def share_with_lobes(
                         axis, bend, _ = refraction(normal, wi, inverse_ior(lobes, k, np.int64(j)), rough)
                         ratio = refracted_pdf(bend * bend, axis, w) / pdf[i]
                         share = 1.0 / (1.0 + ratio * ratio)
-                elif cone_of[k, j] >= 0 and not lamp:
+                elif cone_of[k, j] >= 0:
                     ratio = looks_of(record, np.int64(cone_of[k, j]), w) / max(pdf[i], 1e-30)
                     share = 1.0 / (1.0 + ratio * ratio)
                 elif pdf[i] > 0.0:
                     rough = mean_roughness(lobes, k, np.int64(j))
-                    ratio = (
-                        (OF_CONE if cone_of[k, j] >= 0 else 1.0)
-                        * lobe_pdf(rough * rough, normal, wi, w)
-                        / pdf[i]
-                    )
+                    ratio = lobe_pdf(rough * rough, normal, wi, w) / pdf[i]
                     share = 1.0 / (1.0 + ratio * ratio)
             for c in range(3):
                 kept[i, j, c] = lobes.data[k, j, WEIGHT + c]

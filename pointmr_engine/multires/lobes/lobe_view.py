@@ -25,7 +25,6 @@ from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR
 STRAIGHT, THROUGH_MIRROR, WITHIN_LOBE = -1.0, -2.0, -3.0
 _NEARLY_SHARP = 1e-6  # roughness of what a ray within a lobe sees: lamps are not seen by it
 BY_LOBE = 0.0  # Paths.bsdf_pdf until the direction within the lobe is chosen
-OF_CONE = 8.0  # rays of a lobe, as many of which a cone is worth where it looks for what shines
 # of sub-rays beside a lobe's core, what they are worth there: the lobe differs within their cells
 OF_REST = 1.0 / 16.0
 NARROWEST = 1e-30  # what is found of a lobe at the middles of its cells, below which these tell nothing of it
