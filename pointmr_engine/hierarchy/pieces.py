@@ -240,9 +240,8 @@ def _count(triangles, size, count):
                 total += m
                 continue
             for i in range(m):
-                total += (2 if i > 0 else 1) * _divisions(
-                    _across(triangles, t, part, n, i / m, (i + 1.0) / m), size
-                ) ** 2
+                k = _divisions(_across(triangles, t, part, n, i / m, (i + 1.0) / m), size)
+                total += k * k * (2 if i > 0 else 1)
                 if total > _MOST:
                     break
         count[t] = total if total <= _MOST else -1

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.forward.scenes import look
 from pointmr_engine import Camera, Group, Light, Material, Mesh, Scene, principled
 from pointmr_engine.multires.cones.cones import allocate_cones
-from pointmr_engine.multires.lobes import lobe_view
+from pointmr_engine.multires.lobes import lobe_cones, lobe_view
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from tests.engine.small_scenes import quad
@@ -67,7 +67,7 @@ def test_rays_of_bent_mirrors_are_singular_to_materials():
 @pytest.mark.parametrize("alpha", [1e-4, 2.57e-3, 0.01, 0.3])
 def test_sub_rays_of_lobes_narrower_than_cells_weigh_one_together(alpha, beckmann):
     """They were not a number where a lobe is far narrower than its cells, and a black square in the image."""
-    lobes = lobe_view.allocate_lobe_cones(1, allocate_cones(1))
+    lobes = lobe_cones.allocate_lobe_cones(1, allocate_cones(1))
     lobes.cones.axes[0], lobes.cones.spread[0] = np.eye(3), 0.61
     lobes.alpha[0], lobes.normal[0], lobes.incoming[0] = alpha, 0.0, (0.0, 0.0, 1.0)
     lobes.part[0], lobes.beckmann[0], lobes.even[0] = 0, beckmann, False

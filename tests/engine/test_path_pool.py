@@ -9,7 +9,7 @@ from benchmarks.closed_forms import curved_mirror
 from benchmarks.closed_forms.stage import mirror
 from pointmr_engine import RenderSettings, Scene, principled, render
 from pointmr_engine.multires.cones.cones import allocate_cones
-from pointmr_engine.multires.lobes.lobe_view import allocate_lobe_cones
+from pointmr_engine.multires.lobes.lobe_cones import allocate_lobe_cones
 from pointmr_engine.multires.paths import cone_paths, fragment_paths
 from pointmr_engine.multires.paths.path_pool import PathPool
 from pointmr_engine.raytracing.path_arrays import allocate_paths

@@ -23,8 +23,8 @@ from pointmr_engine import (
 )
 from pointmr_engine.forward.drawing.subpixel_places import subpixel_places
 from pointmr_engine.multires.fragments.merge import choose_seen
+from pointmr_engine.multires.lobes.lobe_cones import lobe_pdf
 from pointmr_engine.multires.lobes.lobe_rays import MOST, rays_of
-from pointmr_engine.multires.lobes.lobe_view import lobe_pdf
 from pointmr_engine.multires.paths.shadow_edges import LARGE, find_edges
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node

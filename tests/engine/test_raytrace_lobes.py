@@ -74,10 +74,12 @@ def mirrored(scene: Scene, **settings) -> float:
 @pytest.mark.parametrize("size", [3.0, 8.0])
 @pytest.mark.parametrize("alpha", [0.06, 0.14, 0.28])
 @pytest.mark.parametrize(
-    ("distribution", "off"), [("beckmann", 0.015), ("ashikhmin_shirley", 0.03), ("ggx", 0.045)]
+    ("distribution", "off"), [("beckmann", 0.015), ("ashikhmin_shirley", 0.03), ("ggx", 0.025)]
 )
 def test_rough_mirrors_show_as_much_of_a_lamp_as_their_distribution_sends(distribution, off, alpha, size):
-    """Cones weighed all lobes by GGX's slopes: others were 8 to 14 % too dark. GGX's are cut off, far out."""
+    """Cones weighed all lobes by GGX's slopes: others were 8 to 14 % too dark. GGX's tails, taken at
+    the middle of their cells, were less than they are: what is in the middle was 4 % too bright.
+    """
     scene = below_a_lamp(glossy(math.sqrt(alpha), distribution), size)
     exact = mirrored(scene, method="distributed", samples=64)
     assert mirrored(scene, method="raytrace") == pytest.approx(exact, rel=off)

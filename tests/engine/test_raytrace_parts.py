@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from pointmr_engine.forward.reconstruction.fragments import Fragments, allocate_fragments
 from pointmr_engine.multires.cones.cones import allocate_cones, sub_rays
 from pointmr_engine.multires.fragments.merge import merge_fragments
-from pointmr_engine.multires.lobes.lobe_view import allocate_lobe_cones, weigh_sub_rays
+from pointmr_engine.multires.lobes.lobe_cones import allocate_lobe_cones
+from pointmr_engine.multires.lobes.lobe_view import weigh_sub_rays
 from pointmr_engine.multires.lobes.scatter import CORE, REST, WIDE, WIDEST
 
 # Merging

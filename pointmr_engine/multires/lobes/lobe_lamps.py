@@ -13,7 +13,12 @@ import math
 import numpy as np
 
 from pointmr_engine.multires.cones.cones import direction_of, origin_of
-from pointmr_engine.multires.lobes.lobe_view import LobeCones, finds_lights, looks_within, slopes_of
+from pointmr_engine.multires.lobes.lobe_cones import (
+    LobeCones,
+    finds_lights,
+    looks_within,
+    slopes_of,
+)
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     ELLIPSE,

@@ -8,7 +8,7 @@ import numpy as np
 
 from pointmr_engine.multires.cones.cones import jitter, set_axes
 from pointmr_engine.multires.cones.lamp_cones import NEAR
-from pointmr_engine.multires.lobes.lobe_view import WITHIN_LOBE
+from pointmr_engine.multires.lobes.lobe_cones import WITHIN_LOBE
 from pointmr_engine.numerics.jit import device
 from pointmr_engine.numerics.rng import sample_2d
 from pointmr_engine.raytracing.path_arrays import (
@@ -115,7 +115,7 @@ def pass_through(paths, k, out, m, hits, frames, limits, r, g, b):
 
 @device
 def no_cone(record, m, alpha):
-    """Row m of the cones is a ray, of what kind `alpha` says (lobe_view)."""
+    """Row m of the cones is a ray, of what kind `alpha` says (lobe_cones)."""
     record.alpha[m] = alpha
     record.part[m] = 0
     record.blur[m] = 0.0

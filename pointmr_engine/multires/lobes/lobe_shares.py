@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pointmr_engine.multires.lobes.lobe_view import (
+from pointmr_engine.multires.lobes.lobe_cones import (
     inverse_ior,
     lobe_pdf,
     looks_of,
@@ -56,10 +56,10 @@ def share_with_lobes(
     """Leave light samples 0..count at points `rows` the part of each lobe's light that the lobe itself does not find.
 
     Lobes look for what shines on surfaces: both are weighted by the power heuristic (Veach 1997), pdf (N,) float64 of
-    the sample against the lobe's own (lobe_view.lobe_pdf, refracted_pdf), or against how close together its cones look,
-    the first of which cone_of (N, L) tells, of `record` (LobeCones): see scatter_lobes. With `glints`, they look for
-    lamps that rays can meet, too (SEES_LAMPS), where they reflect, and where they refract `behind` first surfaces; what
-    shines in first refractions lies within their cones. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
+    the sample against the lobe's own (lobe_cones.lobe_pdf, refracted_pdf), or against how close together its cones
+    look, the first of which cone_of (N, L) tells, of `record` (LobeCones): see scatter_lobes. With `glints`, they look
+    for lamps that rays can meet, too (SEES_LAMPS), where they reflect, and where they refract `behind` first surfaces;
+    what shines in first refractions lies within their cones. kept (N, L, 3): the lobes' weights, for `restore_lobes`.
     """
     for i in range(count):
         if not _is_shared(samples, i, glints):

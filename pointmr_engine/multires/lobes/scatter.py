@@ -14,6 +14,14 @@ import numpy as np
 from pointmr_engine.forward.shading.lobe_light import towards_normal
 from pointmr_engine.multires.lobes.curved_mirrors import open_curved, own_variance
 from pointmr_engine.multires.lobes.diffuse_rays import may_bounce, scatter_diffuse
+from pointmr_engine.multires.lobes.lobe_cones import (
+    BY_LOBE,
+    STRAIGHT,
+    inverse_ior,
+    lobe_pdf,
+    refracted_pdf,
+    refraction,
+)
 from pointmr_engine.multires.lobes.lobe_paths import (
     WIDEST,
     go_on,
@@ -27,14 +35,6 @@ from pointmr_engine.multires.lobes.lobe_paths import (
 from pointmr_engine.multires.lobes.lobe_rays import MOST, behind_glossy, draw_direction, rays_of, takes_ray
 from pointmr_engine.multires.lobes.lobe_shares import mean_roughness
 from pointmr_engine.multires.lobes.lobe_throughput import passed_by
-from pointmr_engine.multires.lobes.lobe_view import (
-    BY_LOBE,
-    STRAIGHT,
-    inverse_ior,
-    lobe_pdf,
-    refracted_pdf,
-    refraction,
-)
 from pointmr_engine.multires.lobes.mirror_chains import blur_lamps, blurs_lamps, grow
 from pointmr_engine.multires.sharing.light_shares import MOST_DIFFUSE, add_lobe, clear_share
 from pointmr_engine.numerics.jit import device, uncounted

@@ -15,6 +15,7 @@ from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments,
 from pointmr_engine.multires.cones.cones import allocate_cones
 from pointmr_engine.multires.lobes.blurred_lamps import blurred_lamps
 from pointmr_engine.multires.lobes.diffuse_rays import DIFFUSE_RAYS
+from pointmr_engine.multires.lobes.lobe_cones import allocate_lobe_cones
 from pointmr_engine.multires.lobes.lobe_lamps import first_fragments, lamps_in_cones
 from pointmr_engine.multires.lobes.lobe_paths import BY_SAMPLES
 from pointmr_engine.multires.lobes.lobe_rays import ROUGH
@@ -26,7 +27,6 @@ from pointmr_engine.multires.lobes.lobe_shares import (
     share_with_lobes,
 )
 from pointmr_engine.multires.lobes.lobe_view import (
-    allocate_lobe_cones,
     choose_places,
     follow_cones,
     thin_out,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.multires.cones.cones import allocate_cones
-from pointmr_engine.multires.lobes.lobe_view import LobeCones, allocate_lobe_cones
+from pointmr_engine.multires.lobes.lobe_cones import LobeCones, allocate_lobe_cones
 from pointmr_engine.raytracing.path_arrays import Paths, allocate_paths
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.multires.lobes.lobe_view import WITHIN_LOBE
+from pointmr_engine.multires.lobes.lobe_cones import WITHIN_LOBE
 from pointmr_engine.multires.paths.shadow_edges import EdgePaths
 from pointmr_engine.multires.sharing.light_sharing import OF_WORLD
 from pointmr_engine.multires.sharing.shared_light import BOUNCED, REFLECTED, REFRACTED, SharedLight
