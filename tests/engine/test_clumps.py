@@ -48,9 +48,9 @@ def turned(count: int, rng) -> np.ndarray:
     return np.concatenate([q * np.linalg.det(q)[:, None, None], np.zeros((count, 3, 1))], 2)
 
 
-def shoots(pixels: int) -> tuple[Scene, RenderSettings]:
+def shoots(pixels: int, seed: int = 7) -> tuple[Scene, RenderSettings]:
     """SIDE x SIDE shoots as many pixels long, turned by chance, seen from above; green before a red wall."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed)
     group = Group("shoot", [shoot(glowing(0.0, 1.0, 0.0), rng)])
     m = turned(SIDE * SIDE, rng)
     m[:, :2, 3] = APART * (np.stack(np.meshgrid(*[np.arange(SIDE)] * 2), -1).reshape(-1, 2) - (SIDE - 1) / 2)
@@ -62,9 +62,9 @@ def shoots(pixels: int) -> tuple[Scene, RenderSettings]:
     return Scene(root, camera, [], uniform_world((0, 0, 0))), settings
 
 
-def covered(method: str, pixels: int) -> float:
+def covered(method: str, pixels: int, seed: int = 7) -> float:
     """Pixels that shoots cover."""
-    scene, settings = shoots(pixels)
+    scene, settings = shoots(pixels, seed)
     frame = render(scene, replace(settings, method=method))
     if method == "raytrace":
         assert frame.stats["counters"]["clump_rays"] > 0
@@ -74,4 +74,8 @@ def covered(method: str, pixels: int) -> float:
 @pytest.mark.parametrize("pixels", [1, 2, 4])
 def test_clumps_hide_what_their_needles_hide(pixels):
     """Looks at what a clump shows must not find the wall through its gaps, which are drawn already: a half was left."""
-    assert covered("raytrace", pixels) == pytest.approx(covered("distributed", pixels), rel=0.1)
+    # a few samples stand for all shoots: of those of one seed, by chance, up to a quarter more or less
+    ours, exact = (
+        sum(covered(m, pixels, seed) for seed in range(7, 15)) for m in ("raytrace", "distributed")
+    )
+    assert ours == pytest.approx(exact, rel=0.1)
