@@ -66,11 +66,8 @@ def _sums(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 def random_per_island(edges: np.ndarray, triangles: np.ndarray, count: int) -> Attribute:
     """A number in 0..1 for each of the triangles (T, 3) of `count` vertices, by the part that edges (E, 2) connect."""
     # kernels, which registering the add-on does not load
-    from pointmr_engine.numerics.disjoint_sets import join_edges, roots_of
+    from pointmr_engine.numerics.disjoint_sets import connected
 
-    parent, rank = np.arange(count, dtype=np.int32), np.zeros(count, np.int32)
-    join_edges(edges, parent, rank)
-    roots = np.empty(len(triangles), np.int32)
-    roots_of(np.ascontiguousarray(triangles[:, 0]), parent, roots)
+    roots = connected(edges, triangles[:, 0], count)
     values = hash_one(roots.astype(np.uint32)).astype(np.float32) / np.float32(0xFFFFFFFF)
     return Attribute(values[:, None], "face")

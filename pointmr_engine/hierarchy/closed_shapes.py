@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.numerics.disjoint_sets import join_edges, roots_of
+from pointmr_engine.numerics.disjoint_sets import connected
 
 OPEN = 0.1  # share of edges that may belong to one triangle, as those at the ends of tubes do
 NET = 0.1  # of the area, what may be left of it when the normals of each connected piece are summed
@@ -24,7 +24,9 @@ def is_closed(positions: np.ndarray, triangles: np.ndarray) -> bool:
     corner = positions[triangles].astype(np.float64)
     area = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area[~np.isfinite(area).all(1)] = 0.0
-    piece = _pieces(triangles, len(positions))
+    # any two of a triangle's edges connect its corners
+    edges = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+    piece = connected(edges, triangles[:, 0], len(positions))
     net = np.stack([np.bincount(piece, area[:, k]) for k in range(3)], 1)
     return bool(np.linalg.norm(net, axis=1).sum() <= NET * np.linalg.norm(area, axis=1).sum())
 
@@ -38,13 +40,3 @@ def _open_share(triangles: np.ndarray) -> float:
         a, b = a[some], b[some]
     there, back = (x.astype(np.int64) << 32 | y for x, y in ((a, b), (b, a)))
     return 1.0 - float(np.isin(there, back).mean()) if len(there) else 0.0
-
-
-def _pieces(triangles: np.ndarray, vertices: int) -> np.ndarray:
-    """(T,) int32: a vertex that stands for the connected piece of each triangle."""
-    parent, rank = np.arange(vertices, dtype=np.int32), np.zeros(vertices, np.int32)
-    for pair in ((0, 1), (1, 2)):
-        join_edges(np.ascontiguousarray(triangles[:, pair], np.int32), parent, rank)
-    piece = np.empty(len(triangles), np.int32)
-    roots_of(np.ascontiguousarray(triangles[:, 0], np.int32), parent, piece)
-    return piece

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +75,13 @@ class Shape:
     # (3,) float64 bounds of the finite triangles, in the mesh's space; inf where there are none
     lower: np.ndarray
     upper: np.ndarray  # (3,) float64
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether its surfaces bound bodies, but for small openings."""
+        from pointmr_engine.hierarchy.closed_shapes import is_closed  # kernels that few scenes need
+
+        return is_closed(self.positions, self.triangles)
 
 
 @dataclass(eq=False)

@@ -220,6 +220,12 @@ def _across(triangles, t, part, row, low, high):
 
 
 @_jit
+def _strip_divisions(triangles, t, part, row, i, m, size):
+    """Into how many parts the edges of strip i of m of a needle are divided."""
+    return _divisions(_across(triangles, t, part, row, i / m, (i + 1.0) / m), size)
+
+
+@_jit
 def _count(triangles, size, count):
     part = np.empty((2, 6))
     for t in range(len(triangles)):
@@ -240,7 +246,7 @@ def _count(triangles, size, count):
                 total += m
                 continue
             for i in range(m):
-                k = _divisions(_across(triangles, t, part, n, i / m, (i + 1.0) / m), size)
+                k = _strip_divisions(triangles, t, part, n, i, m, size)
                 total += k * k * (2 if i > 0 else 1)
                 if total > _MOST:
                     break
@@ -283,7 +289,7 @@ def _cut_up(triangles, t, part, row, area, m, size, at, pieces):
     u, v = part[row, 0], part[row, 1]
     for i in range(m):
         low, high = i / m, (i + 1.0) / m
-        k = _divisions(_across(triangles, t, part, row, low, high), size)
+        k = _strip_divisions(triangles, t, part, row, i, m, size)
         for second in range(2 if i > 0 else 1):
             for c in range(3):
                 # a near corner and both far ones; then both near ones and the other far one

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from pointmr_engine.hierarchy.acceleration import EMPTY, Acceleration, aligned_empty
-from pointmr_engine.hierarchy.closed_shapes import is_closed
 from pointmr_engine.hierarchy.nesting import placed_group
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.pointers import address_of, load_f32, pointer_f64
@@ -241,7 +240,7 @@ def _shape_points(
 ):
     """Points of a shape's nodes first..stop, the root first; raw (K, 22): of what nodes stand for.
 
-    closed: closed_shapes.is_closed of its triangles.
+    closed: Shape.closed.
     """
     for node in range(stop - 1, first - 1, -1):
         for k in range(_RAW):
@@ -367,7 +366,7 @@ def prefilter(acceleration: Acceleration, opacity: np.ndarray | None = None) -> 
             shares = _triangle_opacity(geometry, s, part_opacity, slot_opacity)
             shape = geometry.shapes[s]
             _shape_points(arrays.children, int(root), end(root), blocks, arrays.block_triangles, shape.first_triangle,
-                          shares, is_closed(shape.positions, shape.triangles), points, raw, one)  # fmt: skip
+                          shares, shape.closed, points, raw, one)  # fmt: skip
             shape_raw[s] = raw[root]
     part_raw = np.ascontiguousarray(shape_raw[tables.shape]) if len(tables.shape) else shape_raw[:0]
     for g, root in enumerate(arrays.group_root):

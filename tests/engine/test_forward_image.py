@@ -124,7 +124,7 @@ def test_nothing_that_covers_a_pixel_has_holes(pair):
     assert inner.sum() > 300
     cover = forward[..., 3][inner]
     if name != "nested":
-        assert cover.min() > 0.99
+        assert cover.min() > 0.99 and cover.mean() > 0.995
         return
     # where grass stands on ground and both are samples, two subpixels in a thousand stay open, and by chance, of other
     # meadows alike, a tenth of one pixel in two thousand

@@ -142,6 +142,14 @@ def test_a_closed_convex_body_covers_a_quarter_of_its_area(seed):
     assert projected(prefiltered.points, root, body, d.T).mean() == pytest.approx(area / 4, rel=0.03)
 
 
+def test_what_hides_itself_covers_no_more_than_its_outline():
+    p, t = sphere(48, 64)
+    _, acceleration = accelerate(Group("root", [Mesh("ball", p, t), quad(1e-6, 50.0)]))
+    points, root = prefilter(acceleration).points, acceleration.arrays.group_root[-1]
+    seen = max(projected(points, root, c, (1, 0, 0)) for c in range(2))
+    assert 0.75 * np.pi < seen < 1.35 * np.pi  # of its surface's 4 pi
+
+
 def pieces(mesh, count, seed=0):
     """`count` copies of (positions, triangles) in one, each turned by chance and somewhere else."""
     rng, (p, t) = np.random.default_rng(seed), mesh

@@ -77,8 +77,9 @@ def mirrored(scene: Scene, **settings) -> float:
     ("distribution", "off"), [("beckmann", 0.015), ("ashikhmin_shirley", 0.03), ("ggx", 0.025)]
 )
 def test_rough_mirrors_show_as_much_of_a_lamp_as_their_distribution_sends(distribution, off, alpha, size):
-    """Cones weighed all lobes by GGX's slopes: others were 8 to 14 % too dark. GGX's tails, taken at
-    the middle of their cells, were less than they are: what is in the middle was 4 % too bright.
+    """Cones weighed all lobes by GGX's slopes: others were 8 to 14 % too dark.
+
+    GGX's tails, taken at the middle of their cells, were less than they are: what is in the middle was 4 % too bright.
     """
     scene = below_a_lamp(glossy(math.sqrt(alpha), distribution), size)
     exact = mirrored(scene, method="distributed", samples=64)

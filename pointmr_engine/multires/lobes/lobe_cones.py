@@ -148,7 +148,12 @@ def in_square(c, m, x, y, z):
 
 @device
 def looks_within(lobes: LobeCones, m, direction):
-    """Sub-rays per solid angle that cone m has in a direction, 0 beyond it: how well it finds what shines there."""
+    """Sub-rays per solid angle that cone m has in a direction, 0 beyond it: how well it finds what shines there.
+
+    inf where it is the footprint, which tells all.
+    """
+    if lobes.alpha[m] <= 0.0 or lobes.even[m]:
+        return math.inf
     x, y, z = direction
     c = lobes.cones
     if not in_square(c, m, x, y, z):
@@ -160,9 +165,7 @@ def looks_within(lobes: LobeCones, m, direction):
 
 @device
 def looks_of(lobes: LobeCones, m, direction):
-    """The same of the lobe whose first cone is m; inf where that is the footprint, which tells all."""
-    if lobes.alpha[m] <= 0.0 or lobes.even[m]:
-        return math.inf
+    """The same of the lobe whose first cone is m."""
     found = looks_within(lobes, m, direction)
     if found > 0.0 or lobes.part[m] == 0:
         return found
@@ -171,7 +174,7 @@ def looks_of(lobes: LobeCones, m, direction):
 
 @device
 def finds_lights(paths: Paths, lobes: LobeCones, m):
-    """Whether cone m is one of a reflection that finds what shines (scatter_lobes: integrated)."""
+    """Whether cone m is one of a reflection that finds what shines (scatter_lobes: cone_of)."""
     n = lobes.normal
     reflects = n[m, 0] != 0 or n[m, 1] != 0 or n[m, 2] != 0
     return lobes.alpha[m] > 0 and reflects and paths.bsdf_pdf[m] == math.inf and lobes.blur[m] == 0

@@ -122,12 +122,10 @@ def _add_sub_ray(lamps, tree, near, count, lobes, k, b, stop, transmissive, out,
             continue
         pdf, scale = lamp_pdf_scale(lamps, lamp, x, y, z, nx, ny, nz, transmissive, dx, dy, dz, t)
         pdf *= light_probability(tree, tree.leaf_of_lamp[lamp], x, y, z, nx, ny, nz, transmissive)
-        ratio = 0.0
-        if lobes.alpha[k] > 0.0 and not lobes.even[k]:
-            own = looks_within(lobes, k, (dx, dy, dz))
-            if not own > 0.0:
-                continue
-            ratio = pdf / own
+        own = looks_within(lobes, k, (dx, dy, dz))
+        if not own > 0.0:
+            continue
+        ratio = pdf / own
         scale *= lobes.weights[k, b] / (1.0 + ratio * ratio)
         for a in range(3):
             out[k, a] += lamps.radiance[lamp, a] * scale

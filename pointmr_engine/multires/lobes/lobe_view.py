@@ -223,7 +223,7 @@ def follow_cones(
         copy_path(paths, k, weight, out, np.int64(r))
         if paths.bsdf_pdf[k] == BY_LOBE:
             out.bsdf_pdf[r] = pdf_of(lobes, k, np.float64(lobes.alpha[k]), row3(out.rays.direction, r))
-        elif finds_lights(paths, lobes, k) and not lobes.even[k]:
+        elif finds_lights(paths, lobes, k):
             out.bsdf_pdf[r] = looks_within(lobes, k, row3(out.rays.direction, r))
         out.rays.visibility[r] = paths.rays.visibility[k]
         share = math.sqrt(min(weight, 1.0))
