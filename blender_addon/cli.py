@@ -64,7 +64,8 @@ def build_parser() -> argparse.ArgumentParser:
     add(
         "--as-cycles",
         action="store_true",
-        help="bounces, caustics, clamping, pixel filter, exposure and seed as the file has them for Cycles",
+        help="bounces, caustics, Filter Glossy, clamping, pixel filter, exposure and seed as the file has them for "
+        "Cycles",
     )
     add("--png", action="store_true", help="write a PNG beside each EXR, in the scene's own view transform")
     add("--half", action="store_true", help="colours as half floats in EXR files")

@@ -14,6 +14,7 @@ SHARED_WITH_CYCLES = (
     "transparent_max_bounces",
     "caustics_reflective",
     "caustics_refractive",
+    "blur_glossy",
     "sample_clamp_direct",
     "sample_clamp_indirect",
     "pixel_filter_type",
@@ -45,7 +46,8 @@ class POINTMR_OT_take_from_cycles(Operator):
     bl_idname = "pointmr.take_from_cycles"
     bl_label = "Take from Cycles"
     bl_description = (
-        "Set bounces, caustics, clamping, pixel filter, exposure and seed as Cycles has them in this scene"
+        "Set bounces, caustics, Filter Glossy, clamping, pixel filter, exposure and seed as Cycles has them in this "
+        "scene"
     )
     bl_options = {"REGISTER", "UNDO"}
 

@@ -134,6 +134,14 @@ class PointMRSceneSettings(RaytraceProperties, ForwardProperties, bpy.types.Prop
         description="Light that reaches rough surfaces by way of refractions",
         default=True,
     )
+    blur_glossy: FloatProperty(
+        name="Filter Glossy",
+        description="Make surfaces rougher that are seen by way of rough ones, so that less noise of caustics is "
+        "left; less exact. None: as they are",
+        min=0.0,
+        max=10.0,
+        default=1.0,
+    )
     film_exposure: FloatProperty(
         name="Exposure",
         description="Image brightness scale",

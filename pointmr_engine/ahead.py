@@ -121,7 +121,9 @@ def compile_methods(methods: tuple[str, ...] = METHODS) -> None:
     """Render the scenes by each of the methods, each other scene with diffuse bounces."""
     for number, scene in enumerate(scenes()):
         for method in methods:
-            settings = RenderSettings(24, 18, method=method, samples=2, diffuse_bounces=number % 2, threads=1)
+            settings = RenderSettings(
+                24, 18, method=method, samples=2, diffuse_bounces=number % 2, filter_glossy=1.0, threads=1
+            )
             render(scene, settings)
 
 

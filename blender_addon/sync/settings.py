@@ -30,6 +30,7 @@ PLAIN = {
     "clamp_indirect": "sample_clamp_indirect",
     "caustics_reflective": "caustics_reflective",
     "caustics_refractive": "caustics_refractive",
+    "filter_glossy": "blur_glossy",
     "filter_width": "filter_width",
 }
 

@@ -101,7 +101,9 @@ class POINTMR_RENDER_PT_light_paths_caustics(PointMRPanel, Panel):
 
     def draw(self, context):
         settings = context.scene.pointmr
-        col = split_layout(self).column(heading="Caustics", align=True)
+        layout = split_layout(self)
+        layout.prop(settings, "blur_glossy")
+        col = layout.column(heading="Caustics", align=True)
         col.prop(settings, "caustics_reflective", text="Reflective")
         col.prop(settings, "caustics_refractive", text="Refractive")
 

@@ -162,6 +162,7 @@ def start_paths(paths: Paths, n: int) -> None:
         state.length,
     ):
         values[:n] = 0
+    state.density[:n] = np.inf
 
 
 @device
@@ -184,6 +185,7 @@ def copy_path(paths: Paths, k, weight, out: Paths, m):
     s.length[m] = a.length[k]
     s.width[m] = a.width[k]
     s.spread[m] = a.spread[k]
+    s.density[m] = a.density[k]
 
 
 @device

@@ -222,6 +222,7 @@ def move(
             out.origin_transmissive[m] = paths.origin_transmissive[k]
             b.width[m] = a.width[k]
             b.spread[m] = a.spread[k]
+            b.density[m] = a.density[k]
         else:
             depth += 1
             path_flags &= ~BACKDROP
@@ -255,6 +256,7 @@ def move(
             out.origin_transmissive[m] = (flags[k] & HAS_TRANSMISSION) != 0
             b.width[m] = a.width[k] + a.spread[k] * hits.t[k]
             b.spread[m] = a.spread[k] + scattered.alpha[k] * limits.lobe_spread
+            b.density[m] = min(a.density[k], np.float32(scattered.pdf[k]))
         for c in range(3):
             out.throughput[m, c] = paths.throughput[k, c]
         out.rays.visibility[m] = visibility

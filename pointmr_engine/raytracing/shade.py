@@ -15,7 +15,7 @@ from pointmr_engine.raytracing.surface import Frames, RayState, gather, told_by_
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.shading import lobes as lobe_kernels
 from pointmr_engine.shading.bsdf.layout import Lobes, View
-from pointmr_engine.shading.bsdf.widening import split_lobes, widen_lobes
+from pointmr_engine.shading.bsdf.widening import filter_glossy, split_lobes, widen_lobes
 from pointmr_engine.shading.compiler import Slot
 from pointmr_engine.shading.footprint_mean import (
     OBLIQUE,
@@ -134,6 +134,7 @@ class Shader:
         self.tables = tables
         self.reflective = settings.caustics_reflective
         self.refractive = settings.caustics_refractive
+        self.filter_glossy = settings.filter_glossy
         self.seed = settings.seed
         self.footprints = 1.0  # of rays, to the width of a pixel
         self.bump_correction = [m is None or m.bump_method != "NONE" for m in geometry.materials]
@@ -199,6 +200,10 @@ class Shader:
                     )  # fmt: skip
                 if means.variances:
                     widen_lobes(out, rows[means.rows], before[means.rows], *_variances_of(plan, means))
+        if self.filter_glossy > 0.0:
+            rows = np.flatnonzero(wanted[:n] & (state.density[:n] < self.filter_glossy))
+            if len(rows):
+                filter_glossy(out, rows, state.density[rows], self.filter_glossy)
 
     def _means(self, program: Program, rays, hits, frames, view, rows, state, detail) -> Means:
         """Textures averaged over the footprints of what is seen directly, in mirrors or through glass: fine ones,

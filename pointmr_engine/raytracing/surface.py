@@ -54,6 +54,8 @@ class RayState(NamedTuple):
     length: np.ndarray
     width: np.ndarray  # (N,) float32, width of the ray's footprint at its origin, metres
     spread: np.ndarray  # (N,) float32, growth of that width per metre
+    # (N,) float32, least density per solid angle of the directions that chance drew so far; inf: none was drawn
+    density: np.ndarray
     window: np.ndarray  # (N, 2) float32, position in the image, 0..1
     camera_from_world: np.ndarray  # (3, 4) float64
 
@@ -70,6 +72,7 @@ def allocate_ray_state(n: int, camera_from_world: np.ndarray | None = None) -> R
         np.zeros(n, np.float32),
         np.zeros(n, np.float32),
         np.zeros(n, np.float32),
+        np.full(n, np.inf, np.float32),
         np.zeros((n, 2), np.float32),
         np.eye(4)[:3] if camera_from_world is None else np.asarray(camera_from_world, np.float64)[:3],
     )

@@ -144,6 +144,8 @@ class RenderSettings:
     clamp_indirect: float = 0.0
     caustics_reflective: bool = True
     caustics_refractive: bool = True
+    # glossy lobes are made rougher behind directions drawn with less than this density per solid angle (0: none)
+    filter_glossy: float = 0.0
     # surfaces less opaque than this let unfiltered passes look through them
     pass_alpha_threshold: float = 0.5
     passes: tuple[str, ...] = ("combined", "depth")
@@ -166,6 +168,8 @@ class RenderSettings:
             raise SceneError(f"filter width {self.filter_width} is outside 0.01..10 pixels")
         if not (self.pixel_aspect > 0.0 and math.isfinite(self.pixel_aspect)):
             raise SceneError(f"pixel aspect {self.pixel_aspect} must be positive and finite")
+        if not (self.filter_glossy >= 0.0 and math.isfinite(self.filter_glossy)):
+            raise SceneError(f"filter glossy {self.filter_glossy} must be finite, and not negative")
         if self.samples < 1:
             raise SceneError(f"samples = {self.samples}: at least 1 is needed")
         unknown = [p for p in self.passes if p not in PASSES]

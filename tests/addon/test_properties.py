@@ -92,6 +92,7 @@ def test_settings_survive_a_file(tmp_path):
         ("transparent_max_bounces", 7, "transparent_max_bounces", 7),
         ("caustics_reflective", False, "caustics_reflective", False),
         ("caustics_refractive", False, "caustics_refractive", False),
+        ("blur_glossy", 0.5, "filter_glossy", 0.5),
         ("film_exposure", 2.0, "film_exposure", 2.0),
         ("sample_clamp_direct", 4.0, "clamp_direct", 4.0),
         ("sample_clamp_indirect", 6.0, "clamp_indirect", 6.0),

@@ -53,6 +53,14 @@ def test_raytrace_settings(name, good, bad):
             RenderSettings(method="raytrace", raytrace=RaytraceSettings(**{name: value})).validate()
 
 
+def test_filter_glossy():
+    for value in (0.0, 1.0, 10.0):
+        RenderSettings(filter_glossy=value).validate()
+    for value in (-0.5, math.nan, math.inf):
+        with pytest.raises(SceneError, match="filter glossy"):
+            RenderSettings(filter_glossy=value).validate()
+
+
 def test_settings_do_not_share_their_parts():
     RenderSettings().forward.samples_per_pixel = 4.0
     assert RenderSettings().forward.samples_per_pixel == 1.0

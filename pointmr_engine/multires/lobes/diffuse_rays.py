@@ -5,6 +5,8 @@ Their lights have been sampled where they leave, so that of what they meet, only
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pointmr_engine.multires.lobes.lobe_paths import BY_SAMPLES, lobe_place, send_ray, survives
@@ -82,7 +84,8 @@ def _through(paths, samples, k, j, hits, frames, lobes, limits, tables, bounce, 
     if dot(row3(lobes.geometric_normal, k), wo) >= 0.0:
         return m
     send_ray(paths, k, out, m, hits, frames, lobes, limits, load3(lobes.data, k, j, WEIGHT), 1.0, wo,
-             RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record, THROUGH_ROUGH)  # fmt: skip
+             -dot(nm, wo) / math.pi, RAY_TRANSMISSION | RAY_DIFFUSE, np.int64(0), np.int64(1), record,
+             THROUGH_ROUGH)  # fmt: skip
     return m + 1 if _goes_on(samples, tables, bounce, WEAK, out, m, k, slot, np.int64(0)) else m
 
 
@@ -122,8 +125,8 @@ def _reflect(
     if not density > 0.0:
         return m
     w = (r / density, g / density, b / density)
-    send_ray(paths, k, out, m, hits, frames, lobes, limits, w, 1.0 / times, wo, RAY_REFLECTION | RAY_DIFFUSE,
-             np.int64(0), np.int64(0), record, BOUNCE_ROUGH)  # fmt: skip
+    send_ray(paths, k, out, m, hits, frames, lobes, limits, w, 1.0 / times, wo, density,
+             RAY_REFLECTION | RAY_DIFFUSE, np.int64(0), np.int64(0), record, BOUNCE_ROUGH)  # fmt: skip
     if not matt:
         out.flags[m] |= UNSHARED
     t, o = paths.throughput[k], out.throughput[m]

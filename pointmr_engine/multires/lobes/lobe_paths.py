@@ -93,6 +93,7 @@ def go_on(
     out.rays.skip_triangle[m] = hits.triangle[k]
     out.rays.skip_path[m] = hits.path[k]
     s.width[m] = a.width[k] + a.spread[k] * hits.t[k]
+    s.density[m] = a.density[k]
 
 
 @device
@@ -125,15 +126,22 @@ def no_cone(record, m, alpha):
 
 
 @device
-def send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, kind, glossy, transmission, record,
+def note_density(out, m, density):
+    """The direction of row m of paths was drawn with this density, or stands for what a lobe sends there."""
+    out.state.density[m] = min(out.state.density[m], np.float32(density))
+
+
+@device
+def send_ray(paths, k, out, m, hits, frames, lobes, limits, w, factor, wo, density, kind, glossy, transmission, record,
               rough):  # fmt: skip
-    """Row m of `out` becomes a ray within a lobe, in direction wo."""
+    """Row m of `out` becomes a ray within a lobe, in direction wo, which it favours by `density` per solid angle."""
     t = paths.throughput[k]
     go_on(
         paths, k, out, m, hits, frames, lobes.normal, lobes.flags, limits, w[0] * t[0] * factor, w[1] * t[1] * factor,
         w[2] * t[2] * factor, wo[0], wo[1], wo[2], kind, glossy, transmission,
     )  # fmt: skip
     out.state.spread[m] = paths.state.spread[k]
+    note_density(out, m, density)
     no_cone(record, m, WITHIN_LOBE)
     record.rough[m] = rough
 

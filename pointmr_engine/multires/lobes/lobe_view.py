@@ -23,6 +23,7 @@ from pointmr_engine.multires.lobes.lobe_cones import (
     pdf_of,
     slopes_of,
 )
+from pointmr_engine.multires.lobes.lobe_paths import note_density
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R1, sample_1d
 from pointmr_engine.raytracing.path_arrays import Paths, copy_path, copy_ray
@@ -132,8 +133,10 @@ def thin_out(paths: Paths, lobes: LobeCones, chances, strong, count):
         x, y, z = direction_of(c, m, u, v)
         d = paths.rays.direction
         d[m, 0], d[m, 1], d[m, 2] = x * inverse, y * inverse, z * inverse
+        density = pdf_of(lobes, m, np.float64(lobes.alpha[m]), row3(paths.rays.direction, m))
+        note_density(paths, m, density)
         if paths.bsdf_pdf[m] == BY_LOBE:
-            paths.bsdf_pdf[m] = pdf_of(lobes, m, np.float64(lobes.alpha[m]), row3(paths.rays.direction, m))
+            paths.bsdf_pdf[m] = density
         lobes.rough[m] = lobes.alpha[m]
         lobes.alpha[m] = WITHIN_LOBE
 
@@ -221,8 +224,10 @@ def follow_cones(
         k = np.int64(fragments.cone[r])
         weight, _, _, _ = _look(lobes, k, fragments.mask[r])
         copy_path(paths, k, weight, out, np.int64(r))
+        density = pdf_of(lobes, k, np.float64(lobes.alpha[k]), row3(out.rays.direction, r))
+        note_density(out, np.int64(r), density)
         if paths.bsdf_pdf[k] == BY_LOBE:
-            out.bsdf_pdf[r] = pdf_of(lobes, k, np.float64(lobes.alpha[k]), row3(out.rays.direction, r))
+            out.bsdf_pdf[r] = density
         elif finds_lights(paths, lobes, k):
             out.bsdf_pdf[r] = looks_within(lobes, k, row3(out.rays.direction, r))
         out.rays.visibility[r] = paths.rays.visibility[k]

@@ -255,7 +255,7 @@ def _reflect(
     if ray:
         wo, weight, density, side = draw_direction(lobes, k, j, wi, False, u, v)
         if _largest(weight) > 0.0:
-            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
+            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, density,
                      RAY_REFLECTION | RAY_GLOSSY | said, np.int64(1), np.int64(0), record, rough)  # fmt: skip
             if glints:
                 out.flags[m] |= SEES_LAMPS
@@ -340,9 +340,9 @@ def _refract(
     d, bend, refracts = refraction(nm, wi, inverse, rough)
     seen = np.int64(SEES_LAMPS) if glints else np.int64(0)
     if ray:
-        wo, weight, _, _ = draw_direction(lobes, k, j, wi, True, u, v)
+        wo, weight, density, _ = draw_direction(lobes, k, j, wi, True, u, v)
         if _largest(weight) > 0.0:
-            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo,
+            send_ray(paths, k, out, m, hits, frames, lobes, limits, weight, factor, wo, density,
                      RAY_TRANSMISSION | RAY_GLOSSY | said, np.int64(0), np.int64(1), record, bend)  # fmt: skip
             out.flags[m] |= seen
             if sampled:

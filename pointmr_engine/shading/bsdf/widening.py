@@ -78,6 +78,26 @@ def widen_lobes(lobes, rows, first, variance, of_coat):
                 set_roughness(lobes, i, j, x, y, extra)
 
 
+@uncounted
+def filter_glossy(lobes, rows, density, most):
+    """Make glossy lobes of the points `rows` (m,) int64 as rough as paths to them allow that light is missed sharply.
+
+    density (m,) float32: least density per solid angle of a direction on the way (RayState.density); below `most` of
+    them lobes are widened, to a GGX alpha of up to 1/2, so that light samples find lamps that such paths hardly meet.
+    As Cycles' Filter Glossy.
+    """
+    for k in range(len(rows)):
+        i, share = rows[k], np.float64(density[k]) / most
+        if not share < 1.0:
+            continue
+        alpha = 0.5 * math.sqrt(1.0 - share)
+        for j in range(np.int64(lobes.count[i])):
+            if is_glossy(lobes.kind[i, j]):
+                x, y = np.float64(lobes.data[i, j, ALPHA_X]), np.float64(lobes.data[i, j, ALPHA_Y])
+                set_roughness(lobes, i, j, max(x, alpha), max(y, alpha), 0.0)
+                lobes.flags[i] |= HAS_EVALUATION
+
+
 @device
 def _rougher(lobes, i, j, times, share, tables, cosine, compensated):
     """Leave lobe j of point i this share of its weight, and `times` its roughness; cosine: of its normal to the viewer,
