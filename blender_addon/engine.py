@@ -19,7 +19,11 @@ _viewports = weakref.WeakSet()  # to be stopped when the add-on goes
 
 
 class PointMRRender(bpy.types.RenderEngine):
-    """Engine POINTMR. Blender makes one instance per render job, per preview and per rendered viewport."""
+    """Engine POINTMR. Blender makes one instance per render job, per preview and per rendered viewport.
+
+    With Persistent Data, one renders all frames of an animation, and images after it: it keeps what it made of the
+    scene.
+    """
 
     bl_idname = "POINTMR"
     bl_label = "PointMR"
@@ -34,6 +38,8 @@ class PointMRRender(bpy.types.RenderEngine):
         self.settings = None
         self.reporter = None
         self.viewport = None
+        self._persists = False
+        self._kept: dict[str, dict] = {}  # RenderJob's, by view layer
 
     def update_render_passes(self, scene=None, renderlayer=None):
         for p in passes.list_passes(renderlayer):
@@ -48,6 +54,7 @@ class PointMRRender(bpy.types.RenderEngine):
         if self.reporter is None:
             self.reporter = Reporter(self._say)
         self.scene = self.settings = None
+        self._persists = depsgraph.scene_eval.render.use_persistent_data and not self.is_preview
         layer = depsgraph.view_layer_eval
         observer.current.reading(layer.name)
         try:
@@ -100,7 +107,8 @@ class PointMRRender(bpy.types.RenderEngine):
                 self.add_pass(p.name, len(p.channels), p.channels, layer=layer.name)
         x0, y0, x1, y1 = settings.region or (0, 0, settings.width, settings.height)
         result = self.begin_result(0, 0, x1 - x0, y1 - y0, layer=layer.name)
-        job = RenderJob(scene, settings)
+        kept = self._kept.setdefault(layer.name, {}) if self._persists else None
+        job = RenderJob(scene, settings, kept)
         finished = False
         try:
             finished = self._watch(job, result, layer, cold)
@@ -110,6 +118,8 @@ class PointMRRender(bpy.types.RenderEngine):
                 observer.current.finished(layer.name, job.frame)
         finally:
             job.cancel()
+            if not finished:  # it may go on for a while, with what it keeps
+                self._kept.clear()
             self.end_result(result, cancel=not finished, do_merge_results=True)
         if finished:
             self.update_progress(1.0)

@@ -15,10 +15,11 @@ class RenderJob:
     """One call of the engine's `render`, running in the background from construction on.
 
     fraction 0..1 and text: how far it is. frame: the result, None until done. error: the exception that ended
-    it.
+    it. kept: where what is made of the scene is kept for the next job with the same dict, which begins when this one is
+    done; None: nowhere.
     """
 
-    def __init__(self, scene, settings, **options):
+    def __init__(self, scene, settings, kept: dict | None = None):
         self.fraction = 0.0
         self.text = ""
         self.frame = None
@@ -28,18 +29,19 @@ class RenderJob:
         self._cancelled = threading.Event()
         self._finished = threading.Event()
         self._thread = threading.Thread(
-            target=self._run, args=(scene, settings, options), name="PointMR render", daemon=True
+            target=self._run, args=(scene, settings, kept), name="PointMR render", daemon=True
         )
         self._thread.start()
 
-    def _run(self, scene, settings, options) -> None:
+    def _run(self, scene, settings, kept) -> None:
         try:
             self.text = "Loading kernels"
             kernel_cache.prepare()
-            from pointmr_engine.render import render
+            from pointmr_engine.render import Cache, render
 
+            cache = None if kept is None else kept.setdefault("cache", Cache())
             if not self._cancelled.is_set():
-                self.frame = render(scene, settings, progress=self._progress, **options)
+                self.frame = render(scene, settings, progress=self._progress, cache=cache)
         except BaseException as error:  # handed to the thread that waits for it
             if not self._cancelled.is_set():
                 self.error = error

@@ -16,6 +16,7 @@ import numpy as np
 from pointmr_engine.image.frame import Frame
 from pointmr_engine.numerics.blas import one_blas_thread
 from pointmr_engine.scene.group import Group, Instances
+from pointmr_engine.scene.recognised import recognised, same_light
 from pointmr_engine.scene.scene import Scene
 from pointmr_engine.scene.settings import RenderSettings
 from pointmr_engine.warm import Helper, describe
@@ -47,40 +48,59 @@ class Compiled(NamedTuple):
     acceleration: object  # None where no rays are walked
     lights: object  # likewise
     sampler: object  # forward.method.Sampler, None where nothing is splatted
-    warnings: list[str]
+    warnings: list[str]  # of geometry and materials ...
+    of_light: list[str]  # ... and of lights and world
 
     def serves(self, method: str) -> bool:
         """Whether all is there that the method needs."""
-        return not (
-            (method in SPLATTED and self.sampler is None) or (method in WALKED and self.acceleration is None)
-        )
+        walked = self.acceleration is not None and self.lights is not None
+        lit = self.sampler is not None and self.sampler.environment is not None
+        return (lit or method not in SPLATTED) and (walked or method not in WALKED)
+
+    def without_light(self, same_world: bool) -> Compiled:
+        """What is left of it under other lamps, or another world."""
+        if self.sampler is not None:
+            self.sampler.put_under(self.sampler.environment if same_world else None)
+        return self._replace(lights=None, of_light=[])
 
 
 class Cache:
     """Keeps what `render` compiled of a scene for further renders of it, by other cameras and settings.
 
-    It is used again as long as the scene's root, lights and world are the same objects (do not change them in place).
-    A method that needs more than was kept adds to it: forward mapping and raytracing share their samples.
+    It is used again for scenes of the same objects, and of others with the same content, as frames of an animation
+    are (do not change objects in place); where lamps or world alone are others, all but these. A method that needs more
+    than was kept adds to it: forward mapping and raytracing share their samples.
     """
 
     def __init__(self):
-        self._parts: tuple = ()
+        self._seen: Scene | None = None  # the scene that was rendered last, as `recognise` had it
+        self._of: Scene | None = None  # what the compiled scene was made of ...
+        self._filtered = False  # ... and how
         self._compiled: Compiled | None = None
         # a scene's root, and what catchers.separate made of it
         self.separated: tuple[Group, Group, list[Instances]] | None = None
 
+    def recognise(self, scene: Scene) -> Scene:
+        """The scene, of the objects of the one before where these are the same in content."""
+        if self._seen is not None:
+            scene = recognised(scene, self._seen)
+        self._seen = scene
+        return scene
+
     def find(self, scene: Scene, filtered: bool) -> Compiled | None:
         """What was kept of this scene, its materials filtered or not, or None."""
-        parts = (filtered, *_parts(scene))
-        same = len(parts) == len(self._parts) and all(a is b for a, b in zip(parts, self._parts, strict=True))
-        return self._compiled if same else None
+        if self._compiled is None or filtered != self._filtered or scene.root is not self._of.root:
+            return None
+        if not same_light(scene, self._of):
+            return self._compiled.without_light(scene.world is self._of.world)
+        return self._compiled
+
+    def forget(self) -> None:
+        """Let go of what was kept: there need not be room for it and for another."""
+        self._compiled = None
 
     def keep(self, scene: Scene, filtered: bool, compiled: Compiled) -> None:
-        self._parts, self._compiled = (filtered, *_parts(scene)), compiled
-
-
-def _parts(scene: Scene) -> tuple:
-    return (scene.root, scene.world, *scene.lights)
+        self._of, self._filtered, self._compiled = scene, filtered, compiled
 
 
 # numba's dispatchers must not meet new argument types on two threads at once (builds with assertions abort): the first
@@ -110,10 +130,15 @@ def render(
     if settings.method == "conventional":
         settings = replace(settings, samples=1)
     filtered = settings.method != "distributed"  # there the pixel's many rays do it
+    if cache is not None:
+        clock.phase("comparing scenes")
+        scene = cache.recognise(scene)
     scene, deciding = _separated(scene, cache)
     compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
     helper = Helper()
     try:
+        if cache is not None and compiled is None:
+            cache.forget()
         if compiled is None or not compiled.serves(settings.method):
             compiled = _compile(scene, filtered, settings, clock, helper, compiled)
             if cache is not None:
@@ -143,7 +168,7 @@ def render(
         counters=dict(counters),
         needs=needs,
     )
-    frame.warnings[:0] = list(dict.fromkeys(compiled.warnings))
+    frame.warnings[:0] = list(dict.fromkeys(compiled.warnings + compiled.of_light))
     return frame
 
 
@@ -209,7 +234,7 @@ def _compile_surfaces(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
             program = compile_graph(graph, filtered=filtered, even=even)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
-    return Compiled(geometry, programs, None, None, None, warnings)
+    return Compiled(geometry, programs, None, None, None, warnings, [])
 
 
 def _compile(
@@ -228,7 +253,7 @@ def _compile(
     if settings.threads != 1 and walked:
         helper.start()
     known = known or _compile_surfaces(scene, filtered, clock)
-    geometry, programs, acceleration, lights, sampler, found = known
+    geometry, programs, acceleration, lights, sampler, found, of_light = known
     warnings += found
     if walked:
         helper.begin(describe(scene, programs, settings))
@@ -238,22 +263,28 @@ def _compile(
 
         clock.phase("reading the world")
         environment = Environment(scene.world)
-    clock.phase("building hierarchies")
+    if (splatted and sampler is None) or (walked and acceleration is None):
+        clock.phase("building hierarchies")
     if splatted and sampler is None:
         from pointmr_engine.forward.method import Sampler
 
         sampler = Sampler(geometry, programs, environment, clock.tell)
-        warnings += environment.warnings
+        of_light = of_light + environment.warnings
+    elif splatted and sampler.environment is None:
+        sampler.put_under(environment)
+        of_light = of_light + environment.warnings
     if walked and acceleration is None:
         from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
-        from pointmr_engine.raytracing.lights import build_lights
 
         acceleration = build_acceleration(geometry, progress=clock.tell)
         acceleration = set_opaque(acceleration, np.array([p.opaque for p in programs], np.bool_))
+    if walked and lights is None:
+        from pointmr_engine.raytracing.lights import build_lights
+
         clock.phase("gathering lights")
         lights = build_lights(scene, geometry, programs, environment)
-        warnings += lights.warnings
-    return Compiled(geometry, programs, acceleration, lights, sampler, warnings + geometry.warnings)
+        of_light = of_light + lights.warnings
+    return Compiled(geometry, programs, acceleration, lights, sampler, warnings + geometry.warnings, of_light)
 
 
 def _picture(
@@ -283,7 +314,7 @@ def _splat(
 
         if settings.raytrace.secondary == "cones":
             lights = sampled_lights(scene, compiled.sampler, compiled.lights)
-            found = [w for w in lights.warnings if w not in compiled.warnings]
+            found = [w for w in lights.warnings if w not in compiled.of_light]
             compiled = compiled._replace(lights=lights)
         stage = _prepare(scene, compiled, replace(settings, passes=("combined",), samples=FRAGMENTS), clock)
         image = TracedImage(compiled.sampler, scene, stage, settings)

@@ -107,6 +107,7 @@ def render_here(opened: Opened, frames: list[int], several: bool, report: Report
     """Render frames one after the other in this process; returns those that failed (input errors are raised)."""
     options = opened.options
     apply_options(opened.scene, options)
+    keep_between(opened.scene, several)
     warn_about_scripts(report, options)
     failed = []
     frame = frames[0]
@@ -185,12 +186,19 @@ def run_worker(options: Options, a: argparse.Namespace) -> int:
                 if scene is None:
                     scene = open_blend(options.file, options.scripts)
                     apply_options(scene, options)
+                    keep_between(scene, a.frames is not None)
                 files = output_files(options, frame, a.frames is not None)
                 rendered = render_frame(scene, frame, files, options, observer)
                 send("done", frame=frame, rendered=vars(rendered), memory=peak_memory())
             except CommandError as error:
                 send("failed", frame=frame, error=str(error), fatal=error.code != FAILED)
     return 0
+
+
+def keep_between(scene, several: bool) -> None:
+    """Of several frames, what one made of the scene is there for the next (PointMRRender)."""
+    if several:
+        scene.render.use_persistent_data = True
 
 
 def warn_about_scripts(report: Report, options: Options) -> None:

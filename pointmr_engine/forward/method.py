@@ -46,16 +46,13 @@ class Sampler:
         self.octree = build_octree(geometry, progress)
         self.baker = Baker(geometry, programs)
         self.looks = self.baker.constant_looks()
-        self.environment = environment
+        self.put_under(environment)
         self.opacity = PartOpacity(geometry, programs)
         self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(self.opacity)
         self.near_cut_outs = NearCutOuts(sources)
         self.emissive_lamps = emissive_lamps(geometry, programs)
         self.corners = triangle_corners(self.octree)
-        self.world_light = WorldLight(self.environment)
-        self.ambient = self.world_light.mean
         self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_light.ConeLight)
-        self.lights = None  # by cone_light.sampled_lights, where lights of the scene are left to chance
         self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
         self.warm = False  # an image has been rendered: what its tiles ask for is there
         self.sets: dict[tuple, SampleSets] = {}
@@ -63,6 +60,13 @@ class Sampler:
         self.seconds: dict[tuple, dict[tuple, float]] = {}
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
+
+    def put_under(self, environment: Environment | None) -> None:
+        """Forget the scene's lights, and take this world's; None: another, which is to come."""
+        self.environment = environment
+        self.world_light = None if environment is None else WorldLight(environment)
+        self.ambient = None if environment is None else self.world_light.mean
+        self.lights = None  # by cone_light.sampled_lights, where lights of the scene are left to chance
 
     def of_geometry(self, geometry: Geometry) -> Sampler:
         """A sampler of the same scene whose placements have other visibility; octrees and samples are shared."""

@@ -12,7 +12,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from pointmr_engine.forward.baked.baking import materials_of
 from pointmr_engine.forward.baked.opacity_classes import Opacity, opacity_classes
@@ -159,9 +158,14 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
 
 def _beside(chosen: np.ndarray) -> np.ndarray:
     """Which of cells (2, n, R, R) are chosen (bool), or at most BESIDE cells away from those."""
-    width = 2 * BESIDE + 1
-    padded = np.pad(chosen, ((0, 0), (0, 0), (BESIDE, BESIDE), (BESIDE, BESIDE)))
-    return sliding_window_view(padded, (width, width), axis=(-2, -1)).any((-2, -1))
+    for axis in (-2, -1):
+        rows = np.swapaxes(chosen, axis, -1)
+        near = rows.copy()
+        for k in range(1, BESIDE + 1):
+            near[..., k:] |= rows[..., :-k]
+            near[..., :-k] |= rows[..., k:]
+        chosen = np.swapaxes(near, axis, -1)
+    return chosen
 
 
 def _without_even(source: Source, which: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:

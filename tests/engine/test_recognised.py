@@ -1,0 +1,254 @@
+"""Scenes that follow each other: what is the same in content is known again, and what was made of it is used again."""
+
+import copy
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_scenes import at, from_above, quad
+
+from pointmr_engine import (
+    Group,
+    Instances,
+    Light,
+    RenderSettings,
+    Scene,
+    instance,
+    principled,
+    render,
+    uniform_world,
+)
+from pointmr_engine.render import Cache
+from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.material import Material
+from pointmr_engine.scene.recognised import recognised
+from pointmr_engine.scene.texture import Image
+
+
+def painted() -> Material:
+    """A material with an image."""
+    pixels = np.random.default_rng(1).random((4, 4, 4)).astype(np.float32)
+    nodes = {
+        "image": Node("image_texture", {}, {"image": Image("dots", pixels)}),
+        "bsdf": Node("diffuse", {"color": Link("image", "color")}),
+    }
+    return Material("painted", Graph(nodes, surface=Link("bsdf", "bsdf")))
+
+
+def meadow() -> Scene:
+    """Cards placed twice, two of which cannot be told apart, on a floor under a lamp."""
+    grey, dots = principled("grey"), painted()
+    card, twin, odd = quad(1.0, 0.3, grey, "card"), quad(1.0, 0.3, grey, "card"), quad(0.5, 0.6, dots, "odd")
+    odd.positions[3] = np.nan
+    patch = Group("patch", [card, twin, odd])
+    places = np.tile(np.eye(4)[:3], (5, 1, 1))
+    places[:, 0, 3] = np.arange(5)
+    batch = Instances((patch,), places, object_index=np.arange(5, dtype=np.int32), name="patches")
+    root = Group("root", [quad(9.0, material=grey, name="floor")], [batch, instance(patch, at(0, 2, 0))])
+    lamps = [Light("POINT", at(0, 0, 3), power=100.0, radius=0.1), Light("SUN", at(0, 0, 5))]
+    return Scene(root, from_above(6.0), lamps, uniform_world((0.1, 0.2, 0.3)))
+
+
+def patch_of(scene: Scene) -> Group:
+    return scene.root.instances[0].groups[0]
+
+
+def test_a_copy_is_the_same_objects():
+    first = meadow()
+    second = copy.deepcopy(first)
+    second.camera = from_above(5.0)
+    found = recognised(second, first)
+    assert found.root is first.root and found.world is first.world
+    assert all(a is b for a, b in zip(found.lights, first.lights, strict=True))
+    assert found.camera is second.camera and second.root is not first.root
+
+
+def _vertex(scene):
+    patch_of(scene).meshes[2].positions[1, 0] += 1e-6
+
+
+def _pixel(scene):
+    patch_of(scene).meshes[2].materials[0].graph.nodes["image"].params["image"].pixels[2, 1, 0] += 0.1
+
+
+def _grey(scene):
+    scene.root.meshes[0].materials[0].graph.nodes["bsdf"].inputs["roughness"] = 0.25
+
+
+def _move(scene):
+    scene.root.instances[0].transforms[3, 1, 3] += 1e-6
+
+
+def _index(scene):
+    scene.root.instances[0].object_index[4] = 7
+
+
+def _lamp(scene):
+    scene.lights[1].power *= 1.5
+
+
+def _world(scene):
+    scene.world.graph.nodes["background"].inputs["strength"] = 2.0
+
+
+def _name(scene):
+    patch_of(scene).meshes[0].name = "other"
+
+
+def parts(scene: Scene) -> dict:
+    patch = patch_of(scene)
+    named = dict(zip(("card", "twin", "odd"), patch.meshes, strict=True))
+    lamps = {f"lamp {light.kind}": light for light in scene.lights}
+    return {
+        "root": scene.root,
+        "patch": patch,
+        "floor": scene.root.meshes[0],
+        "world": scene.world,
+        **named,
+        **lamps,
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "others"),
+    [
+        (_vertex, {"root", "patch", "odd"}),
+        (_pixel, {"root", "patch", "odd"}),
+        (_grey, {"root", "patch", "card", "twin", "floor"}),
+        (_move, {"root"}),
+        (_index, {"root"}),
+        (_lamp, {"lamp SUN"}),
+        (_world, {"world"}),
+        (_name, {"root", "patch", "card", "twin"}),
+    ],
+)
+def test_what_differs_is_another_and_all_that_holds_it(change, others):
+    """Of cards that cannot be told apart, the first in order is the first there was."""
+    first = meadow()
+    second = copy.deepcopy(first)
+    change(second)
+    before, found = parts(first), parts(recognised(second, first))
+    assert {name for name in found if found[name] is not before[name]} == others
+    # neither was changed
+    again = parts(second)
+    assert all(again[name] is not before[name] for name in again)
+
+
+def test_roundings_do_not_count():
+    """As Blender's bevels have them, of which no two are the same to the last bit. Places in the world are exact."""
+    first = meadow()
+    second = copy.deepcopy(first)
+    odd = patch_of(second).meshes[2]
+    odd.positions[:] = np.nextafter(odd.positions, np.float32(9.0))
+    assert recognised(second, first).root is first.root
+    second.root.instances[0].transforms[3, 0, 3] += 1e-13
+    assert recognised(second, first).root is not first.root
+
+
+def test_fewer_lamps_and_other_groups():
+    first = meadow()
+    second = copy.deepcopy(first)
+    del second.lights[0]
+    second.root.instances.pop()
+    found = recognised(second, first)
+    assert [light.kind for light in found.lights] == ["SUN"] and found.root is not first.root
+    assert patch_of(found) is patch_of(first)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_whatever_is_recognised_has_the_content_that_it_had(seed):
+    """Of random scenes of like-named meshes, some of which are the same."""
+    rng = np.random.default_rng(seed)
+
+    def scene() -> Scene:
+        meshes = [quad(1.0 + rng.integers(2), 0.0, None, f"card {rng.integers(2)}") for _ in range(4)]
+        groups = [
+            Group(f"group {rng.integers(2)}", list(rng.permutation(meshes)[: rng.integers(1, 3)]))
+            for _ in range(3)
+        ]
+        return Scene(Group("root", meshes[:1], [instance(g, at(rng.integers(2), 0, 0)) for g in groups]))
+
+    first, second = scene(), scene()
+    found = recognised(second, first)
+
+    def told(group: Group):
+        meshes = [(m.name, m.positions.tobytes()) for m in group.meshes]
+        return group.name, meshes, [(i.transforms.tobytes(), told(i.groups[0])) for i in group.instances]
+
+    assert told(found.root) == told(second.root)
+    own = [m for i in second.root.instances for m in i.groups[0].meshes]
+    kept = [m for i in found.root.instances for m in i.groups[0].meshes]
+    # what was one is one, and what was two is two
+    assert [[a is b for b in own] for a in own] == [[a is b for b in kept] for a in kept]
+
+
+@pytest.fixture
+def built(monkeypatch) -> list:
+    """Names of what was built, as it is built."""
+    import pointmr_engine.forward.method as splatted
+    import pointmr_engine.hierarchy.acceleration as walked
+    import pointmr_engine.raytracing.lights as lights
+
+    names = []
+    for module, name in (
+        (splatted, "build_octree"),
+        (walked, "build_acceleration"),
+        (lights, "build_lights"),
+    ):
+        real = getattr(module, name)
+
+        def count(*values, real=real, name=name, **more):
+            names.append(name)
+            return real(*values, **more)
+
+        monkeypatch.setattr(module, name, count)
+    return names
+
+
+@pytest.mark.parametrize("method", ["raytrace", "forward", "distributed"])
+def test_frames_of_an_animation_are_built_once(method, built):
+    """Frames with a camera that moves; then one under another lamp, another world, and one of another surface."""
+    settings = RenderSettings(24, 16, method=method, samples=2)
+    scene, cache = meadow(), Cache()
+    render(scene, settings, cache=cache)
+    all_of_it = {
+        "raytrace": {"build_octree", "build_acceleration", "build_lights"},
+        "forward": {"build_octree"},
+        "distributed": {"build_acceleration", "build_lights"},
+    }[method]
+    assert set(built) == all_of_it
+    lights = all_of_it & {"build_lights"}
+    for change, made in (
+        (None, set()), (_lamp, lights), (None, set()), (_world, lights), (_vertex, all_of_it), (None, set())
+    ):  # fmt: skip
+        scene = copy.deepcopy(scene)
+        scene.camera.world_from_camera[0, 3] += 0.3
+        if change is not None:
+            change(scene)
+        built.clear()
+        found = render(scene, settings, cache=cache)
+        assert set(built) == made
+        fresh = render(scene, settings)
+        assert found.warnings == fresh.warnings
+        for name, pixels in fresh.passes.items():
+            assert np.array_equal(found.passes[name], pixels, equal_nan=True), (change, name)
+
+
+def test_a_method_that_follows_another_adds_what_it_needs(built):
+    scene, cache = meadow(), Cache()
+    render(scene, RenderSettings(8, 8, method="forward"), cache=cache)
+    scene = copy.deepcopy(scene)
+    _world(scene)
+    built.clear()
+    found = render(scene, RenderSettings(8, 8, method="distributed", samples=2), cache=cache)
+    assert built == ["build_acceleration", "build_lights"]
+    assert np.array_equal(
+        found.passes["combined"],
+        render(scene, RenderSettings(8, 8, method="distributed", samples=2)).passes["combined"],
+    )
+    built.clear()
+    found = render(scene, RenderSettings(8, 8, method="forward"), cache=cache)
+    assert np.array_equal(
+        found.passes["combined"], render(scene, RenderSettings(8, 8, method="forward")).passes["combined"]
+    )
