@@ -95,9 +95,12 @@ class Cache:
             return self._compiled.without_light(scene.world is self._of.world)
         return self._compiled
 
-    def forget(self) -> None:
-        """Let go of what was kept: there need not be room for it and for another."""
-        self._compiled = None
+    def let_go(self, filtered: bool):
+        """Forget what was kept, for there need not be room for it and for another; the Sampler of it that a scene with
+        the same objects in it can take from, or None.
+        """
+        old, self._compiled = self._compiled, None
+        return old.sampler if old is not None and filtered == self._filtered else None
 
     def keep(self, scene: Scene, filtered: bool, compiled: Compiled) -> None:
         self._of, self._filtered, self._compiled = scene, filtered, compiled
@@ -137,10 +140,10 @@ def render(
     compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
     helper = Helper()
     try:
-        if cache is not None and compiled is None:
-            cache.forget()
+        earlier = cache.let_go(filtered) if cache is not None and compiled is None else None
         if compiled is None or not compiled.serves(settings.method):
-            compiled = _compile(scene, filtered, settings, clock, helper, compiled)
+            compiled = _compile(scene, filtered, settings, clock, helper, compiled, earlier)
+            earlier = None
             if cache is not None:
                 cache.keep(scene, filtered, compiled)
         if deciding:
@@ -244,8 +247,12 @@ def _compile(
     clock: _Clock,
     helper: Helper,
     known: Compiled | None,
+    earlier=None,
 ) -> Compiled:
-    """Compile what neither camera nor settings change. known: what another method compiled of the same scene."""
+    """Compile what neither camera nor settings change. known: what another method compiled of the same scene.
+
+    earlier: the Sampler of another scene, some of whose objects this one has, too.
+    """
     clock.phase("checking the scene")
     warnings = scene.validate() if known is None else []
     clock.phase("loading kernels")
@@ -268,7 +275,7 @@ def _compile(
     if splatted and sampler is None:
         from pointmr_engine.forward.method import Sampler
 
-        sampler = Sampler(geometry, programs, environment, clock.tell)
+        sampler = Sampler(geometry, programs, environment, clock.tell, earlier)
         of_light = of_light + environment.warnings
     elif splatted and sampler.environment is None:
         sampler.put_under(environment)

@@ -13,7 +13,7 @@ from time import thread_time
 import numpy as np
 
 from pointmr_engine.forward.baked.baking import Baker
-from pointmr_engine.forward.drawing.cut_outs import build_cut_outs
+from pointmr_engine.forward.drawing.cut_outs import build_cut_outs, have_same_cut_outs
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.forward.drawing.subpixels import make_view
 from pointmr_engine.forward.reconstruction import scattered
@@ -39,25 +39,41 @@ from pointmr_engine.scene.settings import ForwardSettings, RenderSettings
 
 
 class Sampler:
-    """What forward mapping keeps of a scene between images: octrees, sample sets, materials and world."""
+    """What forward mapping keeps of a scene between images: octrees, sample sets, materials and world.
 
-    def __init__(self, geometry: Geometry, programs: list, environment: Environment, progress=None):
+    earlier: that of another scene, from which is taken what was made of groups and parts that are the same objects.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        programs: list,
+        environment: Environment,
+        progress=None,
+        earlier: Sampler | None = None,
+    ):
         self.geometry, self.programs = geometry, programs
         self.octree = build_octree(geometry, progress)
         self.baker = Baker(geometry, programs)
         self.looks = self.baker.constant_looks()
         self.put_under(environment)
         self.opacity = PartOpacity(geometry, programs)
-        self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(self.opacity)
-        self.near_cut_outs = NearCutOuts(sources)
+        self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
+        if earlier is not None and have_same_cut_outs(earlier.opacity, self.opacity):
+            self.cut_outs, self.densest_cut_outs = earlier.cut_outs, earlier.densest_cut_outs
+            self.near_cut_outs = earlier.near_cut_outs.of(self.opacity)
+            self.micromap = earlier.micromap
+        else:
+            self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(self.opacity)
+            self.near_cut_outs = NearCutOuts(sources)
         self.emissive_lamps = emissive_lamps(geometry, programs)
         self.corners = triangle_corners(self.octree)
         self.prefiltered = None  # by hierarchy.prefilter, when the first cone asks (cone_light.ConeLight)
-        self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
         self.warm = False  # an image has been rendered: what its tiles ask for is there
         self.sets: dict[tuple, SampleSets] = {}
+        self._earlier_sets = {} if earlier is None else earlier.sets
         # of a core, that each tile of the last image took, by what its buffers fit
-        self.seconds: dict[tuple, dict[tuple, float]] = {}
+        self.seconds: dict[tuple, dict[tuple, float]] = {} if earlier is None else earlier.seconds
         self._spaces: dict[tuple, list[Workspace]] = {}  # of finished images, by what their buffers fit
         self._lock = threading.Lock()
 
@@ -114,6 +130,9 @@ class Sampler:
                 failure=options.failure,
                 folder=options.cache_folder,
             )
+            if key in self._earlier_sets:
+                self.sets[key].adopt(self._earlier_sets[key])
+            self._earlier_sets = {}
         return self.sets[key]
 
 

@@ -109,7 +109,8 @@ class SampleSets:
         self.chunks = np.zeros(((1 << 12) // CHUNK_OF + SLACK, COLUMNS), np.float32)
         self.used = 0
         self.built: dict[tuple[int, int], tuple[int, int]] = {}  # (group, level) -> surfels' interval
-        self.made = self.loaded = 0  # of those that are built, how many by sampling and how many from files
+        # of those that are built, how many by sampling, from files, and as they were in an earlier scene
+        self.made = self.loaded = self.adopted = 0
         self._ready: dict[tuple[int, int], StoredSets] = {}  # on the way to `built`
         self._covers: dict[tuple[int, int], Surfels] = {}
         self._exposures: dict[tuple, np.ndarray] = {}
@@ -155,7 +156,11 @@ class SampleSets:
     def statistics(self) -> dict[str, int]:
         """How many sets were made by sampling, and how many came from files; bytes read and written."""
         files = self.files
-        result = {"sample_sets_made": self.made, "sample_sets_loaded": self.loaded}
+        result = {
+            "sample_sets_made": self.made,
+            "sample_sets_loaded": self.loaded,
+            "sample_sets_adopted": self.adopted,
+        }
         if files is not None:
             result |= {
                 "sample_set_bytes_read": files.bytes_read,
@@ -186,6 +191,28 @@ class SampleSets:
             finally:
                 self._candidates.clear()
                 self._exposures.clear()
+
+    def adopt(self, earlier: SampleSets) -> None:
+        """Take over the sets that were built, in the same way, of groups that this scene has, too: the same objects."""
+        groups = {id(group): g for g, group in enumerate(self.octree.geometry.groups)}
+        parts = {id(mesh): part for part, mesh in enumerate(self.octree.geometry.parts)}
+        before = earlier.octree.geometry
+        part_of = np.array([parts.get(id(mesh), -1) for mesh in before.parts] or [-1], np.int32)
+        taken = []
+        for (g, level), (first, end) in earlier.built.items():
+            own = groups.get(id(before.groups[g]))
+            if own is None or first == end:
+                continue
+            surfels = chosen(earlier.surfels, slice(first, end))
+            source = surfels.source.copy()
+            source[:, 0] = part_of[source[:, 0]]
+            counts = earlier.sets[earlier._nodes(g, level), 1]
+            if (source[:, 0] < 0).any() or len(counts) != len(self._nodes(own, level)):
+                continue
+            self._ready[own, level] = StoredSets(counts, surfels._replace(source=source))
+            taken.append((own, level))
+        self._take(taken)
+        self.adopted += len(taken)
 
     def spacing(self, g: int, level: int) -> float:
         """Distance of the samples of group g at `level`, in its space."""

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from instanced import sphere
 from small_scenes import at, from_above, quad
 
 from pointmr_engine import (
     Group,
     Instances,
     Light,
+    Mesh,
     RenderSettings,
     Scene,
     instance,
@@ -252,3 +254,107 @@ def test_a_method_that_follows_another_adds_what_it_needs(built):
     assert np.array_equal(
         found.passes["combined"], render(scene, RenderSettings(8, 8, method="forward")).passes["combined"]
     )
+
+
+# What is left of a scene in which things move
+
+
+def wood(leafy: Material) -> Scene:
+    """Trees of leaves far away, and a ball that may roll among them."""
+    rng = np.random.default_rng(3)
+    corners = rng.normal(size=(3000, 1, 3)) + 0.02 * rng.normal(size=(3000, 3, 3))
+    uvs = {"UVMap": np.tile(np.array([[[0, 0], [1, 0], [0, 1]]], np.float32), (3000, 1, 1))}
+    crown = Mesh(
+        "crown", corners.reshape(-1, 3).astype(np.float32), np.arange(9000, dtype=np.int32).reshape(-1, 3), uvs=uvs,
+        materials=(leafy,), active_uv="UVMap",
+    )  # fmt: skip
+    tree = Group("tree", [crown])
+    places = np.tile(np.eye(4)[:3], (30, 1, 1))
+    places[:, :2, 3] = rng.uniform(-8, 8, (30, 2))
+    p, t = sphere(6, 8)
+    ball = Mesh("ball", p.astype(np.float32), t.astype(np.int32), materials=(principled("red"),))
+    batches = [
+        instance(Group("ball", [ball]), at(0, 0, 2), name="ball"),
+        Instances((tree,), places, name="trees"),
+    ]
+    sun = Light("SUN", at(0, 0, 5), angle=0.1)
+    return Scene(
+        Group("root", [quad(20.0, -1.0, principled("grey"), "floor")], batches), from_above(40.0), [sun]
+    )
+
+
+def leaves(placed: bool = False) -> Material:
+    """With holes by an image; `placed`: other ones in each tree."""
+    pixels = np.ones((8, 8, 4), np.float32)
+    pixels[2:5, 1:7, 3] = 0.0
+    alpha = Link("image", "alpha")
+    nodes = {"image": Node("image_texture", {}, {"image": Image("holes", pixels)})}
+    if placed:
+        nodes["object"] = Node("object_info")
+        nodes["alpha"] = Node(
+            "math", {"value": alpha, "value_b": Link("object", "random")}, {"operation": "MULTIPLY"}
+        )
+        alpha = Link("alpha", "value")
+    nodes["bsdf"] = Node("principled", {"alpha": alpha, "base_color": (0.2, 0.5, 0.1)})
+    return Material("leaves", Graph(nodes, surface=Link("bsdf", "bsdf")))
+
+
+def _roll(scene):
+    scene.root.instances[0].transforms[0, 0, 3] += 1.0
+
+
+def _squash(scene):
+    scene.root.instances[0].groups[0].meshes[0].positions[:, 2] *= 0.5
+
+
+def _dry(scene):
+    crown = scene.root.instances[1].groups[0].meshes[0]
+    crown.materials[0].graph.nodes["bsdf"].inputs["base_color"] = (0.5, 0.4, 0.1)
+
+
+def _wither(scene):
+    crown = scene.root.instances[1].groups[0].meshes[0]
+    crown.materials[0].graph.nodes["image"].params["image"].pixels[5:, :, 3] = 0.0
+
+
+def _plant(scene):
+    """Another tree, and another kind of things before all others."""
+    batch = scene.root.instances[1]
+    batch.transforms = np.concatenate([batch.transforms, batch.transforms[:1] + 1.5])
+    scene.root.instances.insert(
+        0, instance(Group("card", [quad(0.5, 1.0, principled("blue"), "card")]), name="card")
+    )
+
+
+@pytest.mark.parametrize("method", ["raytrace", "forward"])
+@pytest.mark.parametrize(
+    ("placed", "change", "kept"),
+    [
+        (False, _roll, {"holes", "sets"}),
+        (False, _squash, {"holes", "sets"}),
+        (False, _dry, set()),
+        (False, _wither, set()),
+        (False, _plant, {"sets"}),
+        (True, _roll, set()),
+    ],
+)
+def test_where_things_move_the_others_are_as_they_were(placed, change, kept, method, monkeypatch):
+    import pointmr_engine.forward.method as splatted
+
+    looked, real = [], splatted.build_cut_outs
+    monkeypatch.setattr(splatted, "build_cut_outs", lambda *values: looked.append(1) or real(*values))
+    settings = RenderSettings(40, 30, method=method)
+    first, cache = wood(leaves(placed)), Cache()
+    render(first, settings, cache=cache)
+    second = copy.deepcopy(first)
+    change(second)
+    looked.clear()
+    found = render(second, settings, cache=cache)
+    assert bool(looked) == ("holes" not in kept)
+    needs = found.stats["needs"]
+    fresh = render(second, settings)
+    if "sets" in kept and method == "raytrace":  # the other takes sets of the whole wood
+        assert needs["sample_sets_adopted"] > 0
+        assert fresh.stats["needs"]["sample_sets_made"] > needs["sample_sets_made"]
+    for name, pixels in fresh.passes.items():
+        assert np.array_equal(found.passes[name], pixels, equal_nan=True), name

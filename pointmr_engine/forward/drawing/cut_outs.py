@@ -27,7 +27,7 @@ from pointmr_engine.forward.drawing.draw import piece_to_tile
 from pointmr_engine.forward.drawing.near_clip import clip, corners_of_piece
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.forward.drawing.targets import put_cut_out
-from pointmr_engine.hierarchy.geometry import triangle_materials
+from pointmr_engine.hierarchy.geometry import slot_materials, triangle_materials
 from pointmr_engine.numerics.jit import device
 
 # cells at most, of which half lie in triangles, over all that differ and all looks at them
@@ -57,9 +57,14 @@ class CutOuts(NamedTuple):
 class Source(NamedTuple):
     """Triangles of one material whose opacity is sampled: rows of CutOuts, one after another."""
 
-    opacity: Opacity
+    opacity: Opacity  # a partial of PartOpacity.opacity
     triangles: np.ndarray  # (n,) int64
     looks: int  # that a point takes
+
+    def of(self, opacity_of: PartOpacity) -> Source:
+        """The same of another scene."""
+        own = self.opacity
+        return self._replace(opacity=partial(opacity_of.opacity, *own.args, **own.keywords))
 
 
 def even_cut_outs(first: np.ndarray, mask: np.ndarray, opacity: np.ndarray) -> CutOuts:
@@ -114,6 +119,24 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
             at += len(chosen)
     mask = np.concatenate(masks) if masks else np.zeros(0, np.int32)
     return even_cut_outs(first, mask, opacity[0]), even_cut_outs(first, mask, opacity[1]), sources
+
+
+def have_same_cut_outs(before: PartOpacity, now: PartOpacity) -> bool:
+    """Whether what build_cut_outs made of one scene is what it would make of the other: what lets light through is the
+    same parts, in the same places of their lists, and no placement decides how much.
+    """
+    a, b = before.geometry, now.geometry
+    if not (_are_same(a.materials, b.materials) and len(a.parts) == len(b.parts)):
+        return False
+    opaque = np.array([p.opaque for p in now.programs], np.bool_)
+    changed = [part for part in range(len(a.parts)) if a.parts[part] is not b.parts[part]]
+    return not any(p.placed for p in now.programs) and all(
+        opaque[slot_materials(geometry, part)].all() for geometry in (a, b) for part in changed
+    )
+
+
+def _are_same(a: list, b: list) -> bool:
+    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))
 
 
 def _groups(opacity_of: PartOpacity, part: int) -> list[tuple[Source, np.ndarray, np.ndarray]]:

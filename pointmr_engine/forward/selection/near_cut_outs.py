@@ -14,6 +14,7 @@ from pointmr_engine.forward.baked.opacity_lattice import batches
 from pointmr_engine.forward.drawing.cut_out_cover import cut_out_of
 from pointmr_engine.forward.drawing.cut_outs import CutOuts, Source, lattices, sampled
 from pointmr_engine.forward.drawing.draw import triangle_to_camera
+from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.forward.drawing.subpixels import View
 from pointmr_engine.forward.drawing.transforms import (
     allocate_transforms,
@@ -39,6 +40,12 @@ class NearCutOuts:
         self._sources = sources
         self._first = np.cumsum([0, *(len(source.triangles) for source in sources)])  # rows of the sources
         self.kept: dict[tuple[int, int], np.ndarray] = {}  # (row, side): both opacities of CutOuts
+
+    def of(self, opacity_of: PartOpacity) -> NearCutOuts:
+        """The same of another scene (cut_outs.have_same_cut_outs), and what was kept."""
+        other = NearCutOuts([source.of(opacity_of) for source in self._sources])
+        other.kept = self.kept
+        return other
 
     def refined(
         self,
