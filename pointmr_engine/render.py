@@ -77,6 +77,7 @@ class Cache:
         self._of: Scene | None = None  # what the compiled scene was made of ...
         self._filtered = False  # ... and how
         self._compiled: Compiled | None = None
+        self._earlier = None  # the Sampler of the scene before, until the next is compiled
         # a scene's root, and what catchers.separate made of it
         self.separated: tuple[Group, Group, list[Instances]] | None = None
 
@@ -96,14 +97,15 @@ class Cache:
         return self._compiled
 
     def let_go(self, filtered: bool):
-        """Forget what was kept, for there need not be room for it and for another; the Sampler of it that a scene with
-        the same objects in it can take from, or None.
+        """Forget what was kept, for there need not be room for it and for another, but for its Sampler: the next scene
+        takes from it what it has, too. None where there is none.
         """
-        old, self._compiled = self._compiled, None
-        return old.sampler if old is not None and filtered == self._filtered else None
+        if self._compiled is not None:
+            self._earlier, self._compiled = self._compiled.sampler, None
+        return self._earlier if filtered == self._filtered else None
 
     def keep(self, scene: Scene, filtered: bool, compiled: Compiled) -> None:
-        self._of, self._filtered, self._compiled = scene, filtered, compiled
+        self._of, self._filtered, self._compiled, self._earlier = scene, filtered, compiled, None
 
 
 # numba's dispatchers must not meet new argument types on two threads at once (builds with assertions abort): the first

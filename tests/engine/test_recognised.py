@@ -21,7 +21,7 @@ from pointmr_engine import (
     render,
     uniform_world,
 )
-from pointmr_engine.render import Cache
+from pointmr_engine.render import Cache, Cancelled
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.recognised import recognised
@@ -358,3 +358,20 @@ def test_where_things_move_the_others_are_as_they_were(placed, change, kept, met
         assert fresh.stats["needs"]["sample_sets_made"] > needs["sample_sets_made"]
     for name, pixels in fresh.passes.items():
         assert np.array_equal(found.passes[name], pixels, equal_nan=True), name
+
+
+def test_a_scene_that_was_cancelled_passes_on_what_was_before_it():
+    """As scenes are while an object is dragged in a viewport."""
+    settings, cache = RenderSettings(40, 30), Cache()
+    scene = wood(leaves())
+    render(scene, settings, cache=cache)
+    for stopped_at in ("comparing scenes", "building hierarchies", "rendering"):
+        scene = copy.deepcopy(scene)
+        _roll(scene)
+        with pytest.raises(Cancelled):
+            render(scene, settings, lambda fraction, text, tile, at=stopped_at: text == at, cache=cache)
+    scene = copy.deepcopy(scene)
+    _roll(scene)
+    found = render(scene, settings, cache=cache)
+    assert found.stats["needs"]["sample_sets_adopted"] > 0
+    assert np.array_equal(found.passes["combined"], render(scene, settings).passes["combined"])
