@@ -65,6 +65,8 @@ class PointMRRender(bpy.types.RenderEngine):
             )
             self.settings = render_settings(depsgraph.scene_eval, layer, self)
             observer.current.exported(layer.name, self.scene, self.settings)
+            if self.scene.camera is None:  # and why, has been said
+                self.scene = None
         except sync.Cancelled:
             pass
         except Exception as error:

@@ -13,6 +13,7 @@ import pytest
 
 import blender_addon
 from blender_addon import observer
+from blender_addon.headless import CommandError, FrameObserver, run_render
 from blender_addon.job import RenderJob
 from blender_addon.refinement import ForwardPace
 from blender_addon.report import Reporter
@@ -147,6 +148,17 @@ def test_error_of_the_engine_names_the_object(scene, monkeypatch):
     monkeypatch.setattr(engine_module(), "render", fail)
     with pytest.raises(RuntimeError, match="mesh 'Broken': triangle 3"):
         bpy.ops.render.render()
+
+
+def test_a_camera_that_is_not_supported_is_one_error(scene):
+    """It was said to be missing, too."""
+    scene.camera.data.type = "PANO"
+    watch = FrameObserver()
+    with pytest.raises(
+        CommandError, match=f"camera '{scene.camera.name}': panoramic cameras are not supported"
+    ):
+        run_render(watch)
+    assert len(watch.errors) == 1
 
 
 def test_a_bug_in_the_export_is_an_error_not_a_crash(scene, monkeypatch, capsys):
