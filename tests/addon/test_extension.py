@@ -77,7 +77,7 @@ import numpy as np
 from pointmr_engine import Frame
 from pointmr_engine.scene.group import count_triangles
 
-def render(scene, settings, progress=None):
+def render(scene, settings, progress=None, cache=None):
     assert count_triangles(scene.root)[1] == 12
     pixels = np.full((settings.height, settings.width, 4), 0.5, np.float32)
     return Frame(settings.width, settings.height, {{"combined": pixels}})
