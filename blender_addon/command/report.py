@@ -7,6 +7,8 @@ from pathlib import Path
 
 from ..headless import Options
 
+STEPS = 1024  # of a frame's progress
+
 
 class Report:
     """Progress bar (from the first frame on), messages (each once) and one summary per frame."""
@@ -46,7 +48,8 @@ class Report:
         if self._bar is None:
             self._open_bar()
         before = self._fractions.get(frame, 0.0)
-        self._fractions[frame] = max(before, min(fraction, 1.0))
+        # in steps of a power of two, whose sums are exact: tqdm warns of a bar that is beyond its end by a rounding
+        self._fractions[frame] = max(before, round(min(fraction, 1.0) * STEPS) / STEPS)
         self._bar.set_postfix_str(f"frame {frame}: {text}" if self._several else text, refresh=False)
         self._bar.update(self._fractions[frame] - before)
 

@@ -15,7 +15,8 @@ import pytest
 
 from blender_addon import batch
 from blender_addon.cli import FORWARD, RAYTRACE, build_parser, main
-from blender_addon.headless import output_path
+from blender_addon.command.report import Report
+from blender_addon.headless import Options, output_path
 from pointmr_engine import ForwardSettings, Frame, RaytraceSettings
 from pointmr_engine.image import exr
 
@@ -93,6 +94,19 @@ def test_output_names():
     assert output_path("out/a.png", 7, True) == Path("out/a_0007.png")
     assert output_path("out/a_##.v2", 123, True) == Path("out/a_123.v2.exr")
     assert output_path("out/a#b##.exr", 3, True) == Path("out/a#b03.exr")
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_bar_of_many_frames_ends_where_it_ends(capfd):
+    """Sums of fractions were a rounding more than the number of frames, of which the bar warned."""
+    rng = np.random.default_rng(0)
+    for frames in range(1, 9):
+        report = Report(Options(Path("shot.blend"), ""), True, frames)
+        for frame in range(frames):
+            for fraction in [*np.sort(rng.random(50)), 1.0]:
+                report.progress(frame, float(fraction), "rendering")
+            str(report._bar)
+        report.close()
 
 
 def test_help_needs_neither_blender_nor_numba():
