@@ -64,10 +64,11 @@ def measure(name: str, method: str, o: argparse.Namespace) -> list[str]:
 def _ball(scene):
     """A small ball before the camera."""
     import bpy
+    from mathutils import Vector
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=16, ring_count=8, radius=0.02)
     ball = bpy.context.object
-    ball.location = scene.camera.matrix_world @ ball.location.__class__((0.0, 0.0, -1.0))
+    ball.location = scene.camera.matrix_world @ Vector((0.0, 0.0, -1.0))
     return ball
 
 

@@ -38,8 +38,7 @@ class PointMRRender(bpy.types.RenderEngine):
         self.settings = None
         self.reporter = None
         self.viewport = None
-        self._persists = False
-        self._kept: dict[str, dict] = {}  # RenderJob's, by view layer
+        self._kept: dict = {}  # the engine's Cache, by view layer
 
     def update_render_passes(self, scene=None, renderlayer=None):
         for p in passes.list_passes(renderlayer):
@@ -54,7 +53,6 @@ class PointMRRender(bpy.types.RenderEngine):
         if self.reporter is None:
             self.reporter = Reporter(self._say)
         self.scene = self.settings = None
-        self._persists = depsgraph.scene_eval.render.use_persistent_data and not self.is_preview
         layer = depsgraph.view_layer_eval
         observer.current.reading(layer.name)
         try:
@@ -80,7 +78,8 @@ class PointMRRender(bpy.types.RenderEngine):
         scene, settings, self.scene = self.scene, self.settings, None
         layer = depsgraph.view_layer_eval
         try:
-            self._render_layer(scene, settings, layer)
+            persists = depsgraph.scene_eval.render.use_persistent_data and not self.is_preview
+            self._render_layer(scene, settings, layer, self._cache_of(layer) if persists else None)
         except Exception as error:
             self._fail(error)
         finally:
@@ -99,7 +98,12 @@ class PointMRRender(bpy.types.RenderEngine):
         observer.current.progress(0.0, text or "reading the scene")
         self.update_stats("", f"PointMR: {text}" if text else "PointMR: reading the scene")
 
-    def _render_layer(self, scene, settings, layer):
+    def _cache_of(self, layer):
+        from pointmr_engine.render import Cache
+
+        return self._kept.setdefault(layer.name, Cache())
+
+    def _render_layer(self, scene, settings, layer, cache):
         cold = kernel_cache.is_cold()
         if cold:
             self.reporter("INFO", "PointMR: the first render compiles its kernels, a minute or two, once")
@@ -109,8 +113,7 @@ class PointMRRender(bpy.types.RenderEngine):
                 self.add_pass(p.name, len(p.channels), p.channels, layer=layer.name)
         x0, y0, x1, y1 = settings.region or (0, 0, settings.width, settings.height)
         result = self.begin_result(0, 0, x1 - x0, y1 - y0, layer=layer.name)
-        kept = self._kept.setdefault(layer.name, {}) if self._persists else None
-        job = RenderJob(scene, settings, kept)
+        job = RenderJob(scene, settings, cache)
         finished = False
         try:
             finished = self._watch(job, result, layer, cold)
@@ -120,7 +123,7 @@ class PointMRRender(bpy.types.RenderEngine):
                 observer.current.finished(layer.name, job.frame)
         finally:
             job.cancel()
-            if not finished:  # it may go on for a while, with what it keeps
+            if not finished:  # it may go on for a while, with its cache
                 self._kept.clear()
             self.end_result(result, cancel=not finished, do_merge_results=True)
         if finished:

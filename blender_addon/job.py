@@ -15,11 +15,10 @@ class RenderJob:
     """One call of the engine's `render`, running in the background from construction on.
 
     fraction 0..1 and text: how far it is. frame: the result, None until done. error: the exception that ended
-    it. kept: where what is made of the scene is kept for the next job with the same dict, which begins when this one is
-    done; None: nowhere.
+    it. cache: the engine's, which a job has to itself.
     """
 
-    def __init__(self, scene, settings, kept: dict | None = None):
+    def __init__(self, scene, settings, cache=None):
         self.fraction = 0.0
         self.text = ""
         self.frame = None
@@ -29,17 +28,16 @@ class RenderJob:
         self._cancelled = threading.Event()
         self._finished = threading.Event()
         self._thread = threading.Thread(
-            target=self._run, args=(scene, settings, kept), name="PointMR render", daemon=True
+            target=self._run, args=(scene, settings, cache), name="PointMR render", daemon=True
         )
         self._thread.start()
 
-    def _run(self, scene, settings, kept) -> None:
+    def _run(self, scene, settings, cache) -> None:
         try:
             self.text = "Loading kernels"
             kernel_cache.prepare()
-            from pointmr_engine.render import Cache, render
+            from pointmr_engine.render import render
 
-            cache = None if kept is None else kept.setdefault("cache", Cache())
             if not self._cancelled.is_set():
                 self.frame = render(scene, settings, progress=self._progress, cache=cache)
         except BaseException as error:  # handed to the thread that waits for it

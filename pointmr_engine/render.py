@@ -48,8 +48,7 @@ class Compiled(NamedTuple):
     acceleration: object  # None where no rays are walked
     lights: object  # likewise
     sampler: object  # forward.method.Sampler, None where nothing is splatted
-    warnings: list[str]  # of geometry and materials ...
-    of_light: list[str]  # ... and of lights and world
+    warnings: list[str]  # of geometry and materials
 
     def serves(self, method: str) -> bool:
         """Whether all is there that the method needs."""
@@ -57,11 +56,18 @@ class Compiled(NamedTuple):
         lit = self.sampler is not None and self.sampler.environment is not None
         return (lit or method not in SPLATTED) and (walked or method not in WALKED)
 
+    def all_warnings(self) -> list[str]:
+        """Those of lights and world, too, each once."""
+        lit = (self.lights, self.sampler and self.sampler.environment)
+        return list(
+            dict.fromkeys(self.warnings + [w for kept in lit if kept is not None for w in kept.warnings])
+        )
+
     def without_light(self, same_world: bool) -> Compiled:
         """What is left of it under other lamps, or another world."""
         if self.sampler is not None:
             self.sampler.put_under(self.sampler.environment if same_world else None)
-        return self._replace(lights=None, of_light=[])
+        return self._replace(lights=None)
 
 
 class Cache:
@@ -142,10 +148,18 @@ def render(
     compiled = cache.find(scene, filtered) if cache is not None and scene.camera is not None else None
     helper = Helper()
     try:
-        earlier = cache.let_go(filtered) if cache is not None and compiled is None else None
         if compiled is None or not compiled.serves(settings.method):
-            compiled = _compile(scene, filtered, settings, clock, helper, compiled, earlier)
-            earlier = None
+            another = cache is not None and compiled is None
+            # no name holds what is let go of, once it has been taken from
+            compiled = _compile(
+                scene,
+                filtered,
+                settings,
+                clock,
+                helper,
+                compiled,
+                cache.let_go(filtered) if another else None,
+            )
             if cache is not None:
                 cache.keep(scene, filtered, compiled)
         if deciding:
@@ -173,7 +187,7 @@ def render(
         counters=dict(counters),
         needs=needs,
     )
-    frame.warnings[:0] = list(dict.fromkeys(compiled.warnings + compiled.of_light))
+    frame.warnings[:0] = compiled.all_warnings()
     return frame
 
 
@@ -239,7 +253,7 @@ def _compile_surfaces(scene: Scene, filtered: bool, clock: _Clock) -> Compiled:
             program = compile_graph(graph, filtered=filtered, even=even)
         programs.append(program)
         warnings += [f"material '{(material or plain).name}': {w}" for w in program.warnings]
-    return Compiled(geometry, programs, None, None, None, warnings, [])
+    return Compiled(geometry, programs, None, None, None, warnings)
 
 
 def _compile(
@@ -262,7 +276,7 @@ def _compile(
     if settings.threads != 1 and walked:
         helper.start()
     known = known or _compile_surfaces(scene, filtered, clock)
-    geometry, programs, acceleration, lights, sampler, found, of_light = known
+    geometry, programs, acceleration, lights, sampler, found = known
     warnings += found
     if walked:
         helper.begin(describe(scene, programs, settings))
@@ -278,10 +292,8 @@ def _compile(
         from pointmr_engine.forward.method import Sampler
 
         sampler = Sampler(geometry, programs, environment, clock.tell, earlier)
-        of_light = of_light + environment.warnings
     elif splatted and sampler.environment is None:
         sampler.put_under(environment)
-        of_light = of_light + environment.warnings
     if walked and acceleration is None:
         from pointmr_engine.hierarchy.acceleration import build_acceleration, set_opaque
 
@@ -292,8 +304,7 @@ def _compile(
 
         clock.phase("gathering lights")
         lights = build_lights(scene, geometry, programs, environment)
-        of_light = of_light + lights.warnings
-    return Compiled(geometry, programs, acceleration, lights, sampler, warnings + geometry.warnings, of_light)
+    return Compiled(geometry, programs, acceleration, lights, sampler, warnings + geometry.warnings)
 
 
 def _picture(
@@ -323,7 +334,7 @@ def _splat(
 
         if settings.raytrace.secondary == "cones":
             lights = sampled_lights(scene, compiled.sampler, compiled.lights)
-            found = [w for w in lights.warnings if w not in compiled.of_light]
+            found = [w for w in lights.warnings if w not in compiled.all_warnings()]
             compiled = compiled._replace(lights=lights)
         stage = _prepare(scene, compiled, replace(settings, passes=("combined",), samples=FRAGMENTS), clock)
         image = TracedImage(compiled.sampler, scene, stage, settings)

@@ -189,6 +189,12 @@ def copy_path(paths: Paths, k, weight, out: Paths, m):
 
 
 @device
+def note_density(out, m, density):
+    """The direction of row m of paths was drawn with this density, or stands for what a lobe sends there."""
+    out.state.density[m] = min(out.state.density[m], np.float32(density))
+
+
+@device
 def copy_ray(rays: Rays, k, out: Rays, m):
     """Row m of out becomes ray k."""
     for c in range(3):

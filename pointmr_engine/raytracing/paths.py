@@ -18,6 +18,7 @@ from pointmr_engine.raytracing.path_arrays import (
     Paths,
     Samples,
     Scattered,
+    note_density,
 )
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
@@ -207,6 +208,7 @@ def move(
         depth, passed = a.depth[k], a.transparent_depth[k]
         diffuse, glossy, transmission = a.diffuse_depth[k], a.glossy_depth[k], a.transmission_depth[k]
         visibility = paths.rays.visibility[k]
+        b.density[m] = a.density[k]
         if label & LABEL_TRANSPARENT:
             passed += 1
             path_flags |= THROUGH
@@ -222,7 +224,6 @@ def move(
             out.origin_transmissive[m] = paths.origin_transmissive[k]
             b.width[m] = a.width[k]
             b.spread[m] = a.spread[k]
-            b.density[m] = a.density[k]
         else:
             depth += 1
             path_flags &= ~BACKDROP
@@ -256,7 +257,7 @@ def move(
             out.origin_transmissive[m] = (flags[k] & HAS_TRANSMISSION) != 0
             b.width[m] = a.width[k] + a.spread[k] * hits.t[k]
             b.spread[m] = a.spread[k] + scattered.alpha[k] * limits.lobe_spread
-            b.density[m] = min(a.density[k], np.float32(scattered.pdf[k]))
+            note_density(out, m, scattered.pdf[k])
         for c in range(3):
             out.throughput[m, c] = paths.throughput[k, c]
         out.rays.visibility[m] = visibility

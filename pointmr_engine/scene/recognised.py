@@ -7,17 +7,16 @@ known by the objects.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from pointmr_engine.scene.group import Group, Instances, unique_groups
 from pointmr_engine.scene.scene import Scene
 
-ROUNDED = (
-    4.0 * float(np.finfo(np.float32).eps) / 2.0
-)  # of the largest value, by which single floats differ at most
+ROUNDED = 2.0 * float(np.finfo(np.float32).eps)  # of the largest value, by which single floats differ at most
 
 
 def recognised(scene: Scene, earlier: Scene) -> Scene:
@@ -36,13 +35,14 @@ def recognised(scene: Scene, earlier: Scene) -> Scene:
     return replace(scene, root=root, lights=lights, world=world)
 
 
+def same_objects(a: Sequence, b: Sequence) -> bool:
+    """Whether two sequences hold the same objects in the same order."""
+    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))
+
+
 def same_light(a: Scene, b: Scene) -> bool:
     """Whether lamps and world of two scenes are the same objects."""
-    return (
-        a.world is b.world
-        and len(a.lights) == len(b.lights)
-        and all(x is y for x, y in zip(a.lights, b.lights, strict=True))
-    )
+    return a.world is b.world and same_objects(a.lights, b.lights)
 
 
 class _Same:
@@ -75,8 +75,6 @@ class _Same:
 def _same_array(a: np.ndarray, b: np.ndarray) -> bool:
     if a.dtype != b.dtype or a.shape != b.shape or a.dtype == object:
         return False
-    if a.__array_interface__ == b.__array_interface__:
-        return True
     if a.dtype != np.float32:
         return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
     if np.array_equal(a, b):
@@ -94,41 +92,39 @@ class _Found:
         for thing in things:
             self._named[thing.name].append(thing)
 
-    def take(self, name: str, is_it):
-        """The first of that name of which is_it(thing) is true; None where there is none."""
-        named = self._named.get(name, [])
-        for k, thing in enumerate(named):
-            if is_it(thing):
+    def instead_of(self, thing, same):
+        """The first of its name for which same(thing, it); the thing itself where there is none."""
+        named = self._named[thing.name]
+        for k, other in enumerate(named):
+            if same(thing, other):
                 return named.pop(k)
-        return None
+        return thing
 
 
 def _recognised_root(root: Group, earlier: Group, same: _Same) -> Group:
+    """The group, children before parents; what instead_of is asked for has parts that were recognised before."""
     groups, before = unique_groups(root), unique_groups(earlier)
-    materials = _recognised_materials(groups, before, same)
-    meshes = _recognised_meshes(groups, before, materials, same)
-    found, made = _Found(before), {}
-    for group in groups:  # children before parents
+    made = {id(None): None}  # by the ids of materials, meshes and groups
+    found = _Found(_materials_of(before))
+    for material in _materials_of(groups):
+        made[id(material)] = found.instead_of(material, same)
+    found = _Found(_meshes_of(before))
+    for mesh in _meshes_of(groups):
+        own = replace(mesh, materials=tuple(made[id(m)] for m in mesh.materials))
+        made[id(mesh)] = found.instead_of(own, same)
+    found = _Found(before)
+    for group in groups:
         own = Group(
             group.name,
-            [meshes[id(m)] for m in group.meshes],
+            [made[id(m)] for m in group.meshes],
             [replace(batch, groups=tuple(made[id(g)] for g in batch.groups)) for batch in group.instances],
         )
-        known = found.take(group.name, lambda g, own=own: _same_group(own, g, same))
-        if known is None:
-            known = own
-        made[id(group)] = known
+        made[id(group)] = found.instead_of(own, partial(_same_group, same=same))
     return made[id(root)]
 
 
-def _recognised_materials(groups: list[Group], before: list[Group], same: _Same) -> dict:
-    """id -> material, of all that meshes of the groups have."""
-    found = _Found(_materials_of(before))
-    return {id(m): found.take(m.name, lambda b, m=m: same(m, b)) or m for m in _materials_of(groups)}
-
-
 def _materials_of(groups: list[Group]) -> list:
-    every = (m for g in groups for mesh in g.meshes for m in mesh.materials if m is not None)
+    every = (m for mesh in _meshes_of(groups) for m in mesh.materials if m is not None)
     return list({id(m): m for m in every}.values())
 
 
@@ -136,26 +132,16 @@ def _meshes_of(groups: list[Group]) -> list:
     return list({id(m): m for g in groups for m in g.meshes}.values())
 
 
-def _recognised_meshes(groups: list[Group], before: list[Group], materials: dict, same: _Same) -> dict:
-    """id -> mesh, of all that the groups have."""
-    found, made = _Found(_meshes_of(before)), {}
-    for mesh in _meshes_of(groups):
-        own = replace(mesh, materials=tuple(None if m is None else materials[id(m)] for m in mesh.materials))
-        made[id(mesh)] = found.take(mesh.name, lambda b, own=own: same(own, b)) or own
-    return made
-
-
 def _same_group(a: Group, b: Group, same: _Same) -> bool:
     """Whether a has the very meshes of b, and the same instances of the very groups."""
     return (
-        len(a.meshes) == len(b.meshes)
+        same_objects(a.meshes, b.meshes)
         and len(a.instances) == len(b.instances)
-        and all(x is y for x, y in zip(a.meshes, b.meshes, strict=True))
         and all(_same_batch(x, y, same) for x, y in zip(a.instances, b.instances, strict=True))
     )
 
 
 def _same_batch(a: Instances, b: Instances, same: _Same) -> bool:
-    if len(a.groups) != len(b.groups) or any(x is not y for x, y in zip(a.groups, b.groups, strict=True)):
-        return False
-    return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name != "groups")
+    return same_objects(a.groups, b.groups) and all(
+        same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name != "groups"
+    )

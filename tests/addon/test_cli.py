@@ -106,6 +106,7 @@ def test_a_bar_of_many_frames_ends_where_it_ends(capfd):
             for fraction in [*np.sort(rng.random(50)), 1.0]:
                 report.progress(frame, float(fraction), "rendering")
             str(report._bar)
+        assert report._bar.n == frames
         report.close()
 
 

@@ -43,11 +43,11 @@ def test_lobes_are_at_least_as_rough_as_paths_to_them_ask(roughness, density, mo
         assert not out.kind[1, 1] & SINGULAR_LOBE and out.flags[1] & HAS_EVALUATION
 
 
-def corner(mirror_roughness=0.0) -> Scene:
+def corner() -> Scene:
     """A matt floor seen from above, in the light that a mirror on edge beside it throws there, of a sun that is a
     point."""
     matt = principled("floor", base_color=(0.8, 0.8, 0.8), specular_ior_level=0.0)
-    mirror = principled("mirror", base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=mirror_roughness)
+    mirror = principled("mirror", base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.0)
     wall = card("wall", [(1, -1, 0), (1, -1, 2), (1, 1, 2), (1, 1, 0)], mirror)
     sun = Light("SUN", look((-3, 0, 2), (0, 0, 0)), power=3.0, angle=0.0)
     return Scene(Group("root", [quad(2.0, material=matt), wall]), from_above(6.0), [sun], DARK)

@@ -237,23 +237,34 @@ def test_frames_of_an_animation_are_built_once(method, built):
             assert np.array_equal(found.passes[name], pixels, equal_nan=True), (change, name)
 
 
+@pytest.mark.parametrize("method", ["raytrace", "forward", "distributed"])
+def test_what_the_world_warns_of_is_said_of_every_frame(method):
+    """Where another lamp was all that is new, and nothing was made of the world again."""
+    scene, cache = meadow(), Cache()
+    scene.world.graph.nodes["odd"] = Node("unheard_of")
+    scene.world.graph.nodes["background"].inputs["strength"] = Link("odd", "value")
+    for _ in range(3):
+        frame = render(scene, RenderSettings(8, 8, method=method, samples=2), cache=cache)
+        assert len([w for w in frame.warnings if "unheard_of" in w]) == 1
+        scene = copy.deepcopy(scene)
+        _lamp(scene)
+
+
 def test_a_method_that_follows_another_adds_what_it_needs(built):
     scene, cache = meadow(), Cache()
-    render(scene, RenderSettings(8, 8, method="forward"), cache=cache)
+    splatted, walked = (
+        RenderSettings(8, 8, method="forward"),
+        RenderSettings(8, 8, method="distributed", samples=2),
+    )
+    render(scene, splatted, cache=cache)
     scene = copy.deepcopy(scene)
     _world(scene)
     built.clear()
-    found = render(scene, RenderSettings(8, 8, method="distributed", samples=2), cache=cache)
+    found = render(scene, walked, cache=cache)
     assert built == ["build_acceleration", "build_lights"]
-    assert np.array_equal(
-        found.passes["combined"],
-        render(scene, RenderSettings(8, 8, method="distributed", samples=2)).passes["combined"],
-    )
-    built.clear()
-    found = render(scene, RenderSettings(8, 8, method="forward"), cache=cache)
-    assert np.array_equal(
-        found.passes["combined"], render(scene, RenderSettings(8, 8, method="forward")).passes["combined"]
-    )
+    assert np.array_equal(found.passes["combined"], render(scene, walked).passes["combined"])
+    found = render(scene, splatted, cache=cache)
+    assert np.array_equal(found.passes["combined"], render(scene, splatted).passes["combined"])
 
 
 # What is left of a scene in which things move
@@ -307,14 +318,16 @@ def _squash(scene):
     scene.root.instances[0].groups[0].meshes[0].positions[:, 2] *= 0.5
 
 
+def crown_of(scene: Scene) -> Mesh:
+    return scene.root.instances[1].groups[0].meshes[0]
+
+
 def _dry(scene):
-    crown = scene.root.instances[1].groups[0].meshes[0]
-    crown.materials[0].graph.nodes["bsdf"].inputs["base_color"] = (0.5, 0.4, 0.1)
+    crown_of(scene).materials[0].graph.nodes["bsdf"].inputs["base_color"] = (0.5, 0.4, 0.1)
 
 
 def _wither(scene):
-    crown = scene.root.instances[1].groups[0].meshes[0]
-    crown.materials[0].graph.nodes["image"].params["image"].pixels[5:, :, 3] = 0.0
+    crown_of(scene).materials[0].graph.nodes["image"].params["image"].pixels[5:, :, 3] = 0.0
 
 
 def _plant(scene):

@@ -29,6 +29,7 @@ from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.forward.drawing.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import slot_materials, triangle_materials
 from pointmr_engine.numerics.jit import device
+from pointmr_engine.scene.recognised import same_objects
 
 # cells at most, of which half lie in triangles, over all that differ and all looks at them
 SAMPLES = 8_000_000
@@ -126,17 +127,13 @@ def have_same_cut_outs(before: PartOpacity, now: PartOpacity) -> bool:
     same parts, in the same places of their lists, and no placement decides how much.
     """
     a, b = before.geometry, now.geometry
-    if not (_are_same(a.materials, b.materials) and len(a.parts) == len(b.parts)):
+    if not (same_objects(a.materials, b.materials) and len(a.parts) == len(b.parts)):
         return False
     opaque = np.array([p.opaque for p in now.programs], np.bool_)
     changed = [part for part in range(len(a.parts)) if a.parts[part] is not b.parts[part]]
     return not any(p.placed for p in now.programs) and all(
         opaque[slot_materials(geometry, part)].all() for geometry in (a, b) for part in changed
     )
-
-
-def _are_same(a: list, b: list) -> bool:
-    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))
 
 
 def _groups(opacity_of: PartOpacity, part: int) -> list[tuple[Source, np.ndarray, np.ndarray]]:

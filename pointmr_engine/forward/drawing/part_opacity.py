@@ -64,13 +64,13 @@ class PartOpacity:
         )
         for view, points in self._seen(program, part, triangles, u, v, needs):
             clear = np.clip(program.transparency(points), 0.0, 1.0)
-            least = np.minimum(least, -_largest(-clear))
+            least = np.minimum(least, -largest(-clear))
             if view == VIEWS[0]:
                 mean += (clear[:, 0] + clear[:, 1] + clear[:, 2]) / 3.0
                 looks += 1
             if adds:
                 shown = program.shown(points)
-                added = np.maximum(added, np.where(_largest(clear + shown) > 1.001, _largest(shown), 0.0))
+                added = np.maximum(added, np.where(largest(clear + shown) > 1.001, largest(shown), 0.0))
         if not known:
             least[:] = 0.0
         found = 1.0 - np.stack((mean / looks, least), 1)
@@ -125,7 +125,7 @@ class PartOpacity:
         return geometry, part, whole, u, v, np.broadcast_to(world_from_part, (n, 3, 4))
 
 
-def _largest(rgb: np.ndarray) -> np.ndarray:
+def largest(rgb: np.ndarray) -> np.ndarray:
     """(n,) of (n, 3): of three, numpy takes ten times as long along an axis."""
     return np.maximum(np.maximum(rgb[:, 0], rgb[:, 1]), rgb[:, 2])
 

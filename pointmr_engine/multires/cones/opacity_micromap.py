@@ -14,7 +14,7 @@ import numpy as np
 
 from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
 from pointmr_engine.forward.drawing.cut_outs import lattices
-from pointmr_engine.forward.drawing.part_opacity import PartOpacity
+from pointmr_engine.forward.drawing.part_opacity import PartOpacity, largest
 from pointmr_engine.hierarchy.acceleration import Acceleration, set_micromap
 from pointmr_engine.hierarchy.geometry import triangle_materials
 from pointmr_engine.shading.points import names_of
@@ -62,7 +62,7 @@ def build_micromap(opacity_of: PartOpacity, cut_outs) -> tuple[np.ndarray, np.nd
             cells = np.broadcast_to(in_triangle(few), (len(own), few, few))
             share = _shares(opacity_of, part, material, triangles[own], row[own], cells)
             opaque = np.ones(cells.shape, np.bool_)
-            opaque[cells] = share.max(1) <= SOLID
+            opaque[cells] = largest(share) <= SOLID
             words_of[row[own[opaque.all((1, 2))]]] = solid
     known = words_of >= 0
     known[known] = words.any((1, 2))[words_of[known]]
@@ -124,7 +124,7 @@ class Pattern:
     ) -> np.ndarray:
         """(2, N) bool: whether a place of each of the N `cells` (n, R, R) bool of triangles `own` is clear, opaque."""
         share = _shares(opacity_of, self.part, self.material, self.triangles[own], row, cells)
-        return np.stack([share.min(1) >= CLEAR, share.max(1) <= SOLID])
+        return np.stack([-largest(-share) >= CLEAR, largest(share) <= SOLID])
 
 
 def _refine(opacity_of: PartOpacity, groups: list[tuple]) -> list[Pattern]:

@@ -21,6 +21,7 @@ from pointmr_engine.raytracing.path_arrays import (
     UNSHARED,
     copy_path,
     copy_ray,
+    note_density,
 )
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
@@ -123,12 +124,6 @@ def no_cone(record, m, alpha):
     record.cones.t_min[m] = record.cones.t_max[m] = 0.0
     for c in range(3):
         record.behind[m, c] = 1
-
-
-@device
-def note_density(out, m, density):
-    """The direction of row m of paths was drawn with this density, or stands for what a lobe sends there."""
-    out.state.density[m] = min(out.state.density[m], np.float32(density))
 
 
 @device

@@ -23,10 +23,9 @@ from pointmr_engine.multires.lobes.lobe_cones import (
     pdf_of,
     slopes_of,
 )
-from pointmr_engine.multires.lobes.lobe_paths import note_density
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import R1, sample_1d
-from pointmr_engine.raytracing.path_arrays import Paths, copy_path, copy_ray
+from pointmr_engine.raytracing.path_arrays import Paths, copy_path, copy_ray, note_density
 from pointmr_engine.shading.bsdf.microfacet import distribution, smith_lambda
 from pointmr_engine.shading.bsdf.vector import dot, row3
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SINGULAR

@@ -80,7 +80,7 @@ def widen_lobes(lobes, rows, first, variance, of_coat):
 
 @uncounted
 def filter_glossy(lobes, rows, density, most):
-    """Make glossy lobes of the points `rows` (m,) int64 as rough as paths to them allow that light is missed sharply.
+    """Make glossy lobes of the points `rows` (m,) int64 rougher that paths see by way of rough surfaces.
 
     density (m,) float32: least density per solid angle of a direction on the way (RayState.density); below `most` of
     them lobes are widened, to a GGX alpha of up to 1/2, so that light samples find lamps that such paths hardly meet.
