@@ -80,8 +80,8 @@ def _displace(geometry: Geometry, p: int, mesh: Mesh, programs: dict, warnings: 
         offset[lost] = 0.0
     positions = mesh.positions.copy()
     positions[vertices] += offset.astype(positions.dtype)
-    resting = np.array([m is None or not m.shades_moved for m in mesh.materials])[slots]
-    return positions, _normals(mesh, positions, resting, upright)
+    shades_moved = moves & np.array([m is not None and m.shades_moved for m in mesh.materials])[slots]
+    return positions, _normals(mesh, positions, shades_moved, moves & ~shades_moved, upright)
 
 
 def _generated(geometry: Geometry, p: int, mesh: Mesh) -> Attribute:
@@ -107,17 +107,18 @@ def _offsets(
 
 
 def _normals(
-    mesh: Mesh, positions: np.ndarray, resting: np.ndarray, upright: np.ndarray
+    mesh: Mesh, positions: np.ndarray, moved: np.ndarray, resting: np.ndarray, upright: np.ndarray
 ) -> np.ndarray | None:
     """Normals of the moved mesh, in the layout of the mesh's own, or per corner where that cannot hold them.
 
+    moved (T,): triangles that shade the moved surface; those beside them that are not displaced share its normals.
     resting (T,): triangles that keep the normals that they had; of a flat mesh these are `upright` (V, 3).
     """
     old = mesh.normals
     kept = upright if old is None else old
     if resting.all():
         return kept
-    new = None if old is None else _smooth(mesh, positions, old)
+    new = None if old is None else _smooth(mesh, positions, old, moved)
     if not resting.any():
         return new
     return np.where(resting[:, None, None], _corners(mesh, positions, kept), _corners(mesh, positions, new))
@@ -130,19 +131,22 @@ def _corners(mesh: Mesh, positions: np.ndarray, normals: np.ndarray | None) -> n
     return normals if normals.ndim == 3 else normals[mesh.triangles]
 
 
-def _smooth(mesh: Mesh, positions: np.ndarray, old: np.ndarray) -> np.ndarray:
-    """Means of the triangles' normals about each vertex; of corners, among those that had one normal."""
+def _smooth(mesh: Mesh, positions: np.ndarray, old: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Means of the normals of `moved` triangles about each vertex; of corners, among those that had one normal.
+
+    What touches none of these triangles is as it was.
+    """
     group = mesh.triangles.ravel().astype(np.int64)
     count = len(positions)
     if old.ndim == 3:  # sharp edges part the corners of a vertex
         x, y, z = (np.round(np.clip(old, -1, 1).reshape(-1, 3) * 1000.0) + 1000.0).astype(np.int64).T
         kinds, group = np.unique(group << 33 | x << 22 | y << 11 | z, return_inverse=True)
         count = len(kinds)
-    faces = np.repeat(_of_triangles(mesh, positions), 3, 0)
+    faces = np.repeat(_of_triangles(mesh, positions) * moved[:, None], 3, 0)
     mean = _unit(_sums(faces, group, count))
     found = (mean if old.ndim == 2 else mean[group].reshape(old.shape)).astype(np.float32)
     unknown = (found == 0.0).all(-1)
-    found[unknown] = old[unknown]  # of vertices without triangles, and where these cancel
+    found[unknown] = old[unknown]  # of vertices without such triangles, and where these cancel
     return found
 
 
