@@ -376,7 +376,8 @@ def _mover(geometry, points, samples, every, direction, width, backfacing):
         return result if narrower is None else result.narrowed(narrower)
 
     def mover(start, start_of_stored, narrowed=None):
-        def moved(offset, needs=None, narrower=narrowed, bump=False) -> SurfacePoints:
+        def moved(offset, needs=None, narrower=None, bump=False) -> SurfacePoints:
+            narrower = narrowed if narrower is None else narrower
             there = start + offset
             turned = bump and backfacing.any()
             if start_of_stored is start and not turned:

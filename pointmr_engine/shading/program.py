@@ -124,9 +124,10 @@ def fine_slots(
     """The sources of columns that fine nodes decide, and of normals that fine nodes or images do.
 
     A column that is differenced takes the footprint into account itself; normals that bumps bend differ within it,
-    which is worth telling from their mean where lobes may be sharp. Steps that coordinates are cut into are fine, and
-    images that jump, of `opaque` materials: beside a hole, means would show what is not there. What reads nothing but
-    what is `even` on triangles, a leaf's random number, say, is not.
+    which is worth telling from their mean where lobes may be sharp. Wide ones have one place's of what is fine; a
+    pyramid would give them the mean of slopes, however steep, so that what images bend is told of them, too. Steps that
+    coordinates are cut into are fine, and images that jump, of `opaque` materials: beside a hole, means would show what
+    is not there. What reads nothing but what is `even` on triangles, a leaf's random number, say, is not.
     """
     placed = _decided(steps, [_is_place(step, even) for step in steps], through=True)
     fine = [
@@ -135,13 +136,14 @@ def fine_slots(
     ]
     bends = [(at and step.type.fine) or _is_image(step) for step, at in zip(steps, placed, strict=True)]
     bent = _decided(steps, bends, through=True)
-    sharp = [leaf for leaf in leaves if _may_be_sharp(leaf)]
-    # the surface's own is that of leaves, too, which have none
-    normals = [s for leaf in sharp for name, s in leaf.normals.items() if name in ("normal", "coat_normal")]
-    return (
-        _columns(leaves, _decided(steps, fine)),
-        [s for s in normals if isinstance(s, Slot) and bent[s.step]],
-    )
+    by_images = _decided(steps, [_is_image(step) for step in steps], through=True)
+    normals = []
+    for leaf in leaves:
+        told = bent if _may_be_sharp(leaf) else by_images
+        # the surface's own is that of leaves, too, which have none
+        found = (s for name, s in leaf.normals.items() if name in ("normal", "coat_normal"))
+        normals += [s for s in found if isinstance(s, Slot) and told[s.step]]
+    return _columns(leaves, _decided(steps, fine)), normals
 
 
 def image_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
@@ -301,7 +303,7 @@ class Program:
         return {name: memo[name] for name in self._of_images}
 
     def normal_values(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
-        """Normals that fine textures and images bend, of what may be sharp; reads `normal_reads`."""
+        """Normals that images bend, and fine textures where lobes may be sharp; reads `normal_reads`."""
         with np.errstate(all="ignore"):
             memo = self._normal_plan.run(points)
         return {name: memo[name] for name in self._normal_names}

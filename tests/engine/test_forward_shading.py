@@ -201,6 +201,26 @@ def test_lamps_with_extent_are_close_to_many_rays(lamp):
     assert difference(Scene(root, from_above(6.0), [lamp], BLACK), samples_per_pixel=4.0) < 0.04
 
 
+@pytest.mark.parametrize("roughness", [0.2, 0.5])
+@pytest.mark.parametrize("share", [0.05, 0.3])
+@pytest.mark.parametrize("method", ["forward", "raytrace"])
+def test_lamps_that_bring_little_bring_what_they_do_alone(method, share, roughness):
+    """They are fewer points beside strong ones: of a wall, a part of which each point of a ball sees."""
+    wall = Light(
+        "AREA", at(1.5, 0, 0) @ sun(-1, 0, 0).world_from_light, power=80.0 * share, size_x=6.0, size_y=6.0
+    )
+    plastic = principled("plastic", base_color=(0.5, 0.5, 0.5), roughness=roughness)
+
+    def shown(*lights: Light) -> np.ndarray:
+        scene = Scene(Group("root", [ball(plastic)]), from_above(4.0), list(lights), BLACK)
+        return image(scene, method=method)[..., :3].astype(float)
+
+    strong, weak, both = shown(sun(1, 1, -3)), shown(wall), shown(sun(1, 1, -3), wall)
+    assert 0.4 * share < weak.mean() / strong.mean() < 2.5 * share
+    difference = np.abs(both - strong - weak)
+    assert difference.max() < 0.02 * strong.max() and difference.mean() < 0.002 * strong.mean()
+
+
 @pytest.mark.parametrize("shape", ["flat", "round"])
 def test_surfaces_that_shine_light_others(shape):
     """Beside what many rays find, whose shadows and distances agree."""

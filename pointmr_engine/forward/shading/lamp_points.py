@@ -70,8 +70,21 @@ def points_of_lamp(lamps, i, px, py, pz, normal, solid, sharp):
             least = _least_points(lamps, i, px, py, pz)
         across, up = _grid_of_points(lamps, i, solid, sharp)
         across, up = max(across, least), max(up, least)
+    return across, up, *_apart(shape, across, up)
+
+
+@device
+def few_points(lamps, i, across, up, most):
+    """The same as points_of_lamp of a lamp i that brings little: `most` along each side."""
+    across, up = min(across, most), min(up, most)
+    return across, up, *_apart(lamps.shape[i], across, up)
+
+
+@device
+def _apart(shape, across, up):
+    """By how much points of a grid are moved outwards along a lamp's sides."""
     apart = APART[0 if shape == RECTANGLE else 1]
-    return across, up, apart[min(across, 8) - 1], apart[min(up, 8) - 1]
+    return apart[min(across, 8) - 1], apart[min(up, 8) - 1]
 
 
 @device

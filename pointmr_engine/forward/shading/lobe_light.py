@@ -2,8 +2,9 @@
 maps.
 
 Nothing is random, so nothing is noisy: a lamp is one point where it looks small, up to sixteen where it is wide and 64
-where a surface sees a part of it, or a narrow lobe one of a tube; more along a rectangle's longer side. Lobes are
-widened by the part of the lamp that each point stands for, so that sharp highlights keep the lamp's size.
+where a surface sees a part of it, or a narrow lobe one of a tube; more along a rectangle's longer side. What can bring
+little beside the light that is there already is fewer. Lobes are widened by the part of the lamp that
+each point stands for, so that sharp highlights keep the lamp's size.
 """
 
 from __future__ import annotations
@@ -12,7 +13,13 @@ import math
 
 import numpy as np
 
-from pointmr_engine.forward.shading.lamp_points import NARROWER, SHARP, length_of_lamp, points_of_lamp
+from pointmr_engine.forward.shading.lamp_points import (
+    NARROWER,
+    SHARP,
+    few_points,
+    length_of_lamp,
+    points_of_lamp,
+)
 from pointmr_engine.forward.shading.lamps_in_lobes import (
     hide_lobes,
     lamp_in_lobes,
@@ -24,6 +31,7 @@ from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.raytracing.lamps import (
     DISTANT,
     POINT,
+    TAN_SPREAD,
     sample_lamp,
 )
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
@@ -56,6 +64,7 @@ ADDED = 1.1  # of an opaque surface's light: who sends more, and is not opaque, 
 FILLS = (
     0.025  # of a lamp's solid angle, over its length in widths: the variance of gaps that it fills by itself
 )
+FAINT, FAINTER = 0.25, 0.05  # of a point's light so far: who cannot bring as much is 4 x 4, 2 x 2 points
 _GLITTER = 0.125  # squared roughness that a light's squared angular radius is as wide as
 
 
@@ -131,6 +140,27 @@ def _sharpest(lobes, i, alpha):
 
 
 @device
+def _passed_on(lobes, k):
+    """What point k's lobes send at most of what they receive."""
+    r = g = b = 0.0
+    for j in range(np.int64(lobes.count[k])):
+        w = load3(lobes.data, k, j, WEIGHT)
+        r, g, b = r + w[0], g + w[1], b + w[2]
+    return r, g, b
+
+
+@device
+def _most_of_lamp(lamps, i, solid, rough):
+    """What lamp i, of `solid` sr, brings at most to a lobe of squared roughness `rough`: its strongest channel."""
+    if lamps.values[i, TAN_SPREAD] < math.inf:
+        return math.inf  # of its middle's beam only a part may be seen
+    radiance = max(
+        np.float64(lamps.radiance[i, 0]), np.float64(lamps.radiance[i, 1]), np.float64(lamps.radiance[i, 2])
+    )
+    return radiance * min(1.0, solid / (math.pi * max(rough, SHARP)))
+
+
+@device
 def _ball(cosine):
     """Mean clamped cosine to a light over the side of a sphere that is seen, by the cosine between light and viewer."""
     c = min(max(cosine, -1.0), 1.0)
@@ -145,7 +175,8 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
     incoming (N, 3) float32 to the viewer; position (N, 3) float64; flat (N,) float32, alpha (N, L, 2) as
     widen_by_normals left it; gaps (N or 0,) float32: variance of slopes by which lobes are wider for small lamps, lest
     these be seen in gaps between footprints; shadow (lamps or 0, F) float32: share that arrives at fragments first...,
-    and beneath (lamps or 0, F) of what of a lamp is behind the surface, the same if it is of none.
+    and beneath (lamps or 0, F) of what of a lamp is behind the surface, the same if it is of none. What out has is
+    light that lamps are weighed against (FAINT).
     """
     for k in range(count):
         if lobes.count[k] == 0:
@@ -158,6 +189,9 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
         r = g = b = 0.0
         widened = False
         gap = np.float64(gaps[k]) if len(gaps) > 0 else 0.0
+        x, y, z = row3(lobes.emission, k)
+        there = max(np.float64(out[k, 0]) + x, np.float64(out[k, 1]) + y, np.float64(out[k, 2]) + z)
+        sends, rough = max(_passed_on(lobes, np.int64(k))), _sharpest(lobes, np.int64(k), alpha)
         for i in range(len(lamps.shape)):
             arrives = below = 1.0
             if len(shadow) > 0:
@@ -170,13 +204,16 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
             )
             sharp, longer = 0.0, length_of_lamp(lamps, np.int64(i))
-            if solid > SHARP:
-                rough = _sharpest(lobes, np.int64(k), alpha)
-                if rough * math.pi < NARROWER * solid * longer:
-                    sharp = math.sqrt(rough)
+            if solid > SHARP and rough * math.pi < NARROWER * solid * longer:
+                sharp = math.sqrt(rough)
             across, up, apart_u, apart_v = points_of_lamp(
                 lamps, np.int64(i), px, py, pz, normal, solid, sharp
             )
+            most = max(arrives, below) * sends * _most_of_lamp(lamps, i, solid, rough)
+            faint = solid > 0.0 and most < FAINT * max(there, r, g, b)
+            if faint:
+                side = np.int64(2) if most < FAINTER * max(there, r, g, b) else np.int64(4)
+                across, up, apart_u, apart_v = few_points(lamps, i, across, up, side)
             points = across * up
             if points == 1 and plane >= 1.0 and not transmissive:
                 if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
@@ -185,7 +222,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
             bits = np.int64(0)
             if solid > 0.0:
                 more = 2.0 * max(gap - FILLS * solid / longer, 0.0)
-                if seen & GLOSSY:
+                if seen & GLOSSY and not faint:
                     bits = narrow_lobes(lobes, np.int64(k), alpha, more, solid)
                 if bits != 0:
                     _widen(lobes, np.int64(k), alpha, more)
@@ -331,16 +368,6 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
             out[k, 2] += b
 
 
-@device
-def _sent(lobes, k):
-    """What point k emits and its lobes send at most, in the strongest channel."""
-    r, g, b = row3(lobes.emission, k)
-    for j in range(np.int64(lobes.count[k])):
-        w = load3(lobes.data, k, j, WEIGHT)
-        r, g, b = r + w[0], g + w[1], b + w[2]
-    return max(r, g, b)
-
-
 @uncounted
 def finish(lobes, holdout, passed, fragments, first, count, light, held):
     """Emission, transparency and holdouts of points 0..count, which are fragments first..; True: some are held out.
@@ -358,8 +385,10 @@ def finish(lobes, holdout, passed, fragments, first, count, light, held):
             light[f, c] += lobes.emission[k, c]
             t += min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) / 3.0
         t = min(t, 0.999)
-        if passed[k] < 1.0 and _sent(lobes, np.int64(k)) > ADDED * (1.0 - t):
-            t = min(t, np.float64(passed[k]))
+        if passed[k] < 1.0:
+            e, w = row3(lobes.emission, k), _passed_on(lobes, np.int64(k))
+            if max(e[0] + w[0], e[1] + w[1], e[2] + w[2]) > ADDED * (1.0 - t):
+                t = min(t, np.float64(passed[k]))
         scale = 1.0 / (1.0 - t)
         held[f] = min(max(np.float64(lobes.holdout[k]), 0.0) * scale, 1.0)
         if holdout[k]:

@@ -101,25 +101,16 @@ class FullShading:
         widen_by_normals(own.lobes, own.spread, own.alpha, n_)
         light = space.light[first : first + n]
         light[:] = 0.0
-        self.lamps.shade(
-            own.lobes,
-            own.view.incoming,
-            own.frames.position,
-            own.flat,
-            own.alpha,
-            NO_GAPS,
-            space.shadow,
-            NO_SHARES,
-            first,
-            n,
-            light,
-        )
         world = self.world
         if not image.sampler.environment.black:
             shade_world(
                 own.lobes, own.view.incoming, own.flat, self.shader.tables, world.diffuse, world.glossy,
                 world.transmission, n_, light,
             )  # fmt: skip
+        self.lamps.shade(
+            own.lobes, own.view.incoming, own.frames.position, own.flat, own.alpha, NO_GAPS, space.shadow, NO_SHARES,
+            first, n, light,
+        )  # fmt: skip
         if self.adds is not None:
             let_through(hierarchy.cut_outs, f, first_, n_, own.passed)
             own.passed[:n][~self.adds[own.frames.material[:n]]] = 1.0
