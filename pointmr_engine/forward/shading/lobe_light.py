@@ -53,7 +53,7 @@ from pointmr_engine.shading.bsdf.layout import (
 )
 from pointmr_engine.shading.bsdf.setup import passed_on
 from pointmr_engine.shading.bsdf.vector import dot, load3, mean, row3
-from pointmr_engine.shading.bsdf.widening import is_glossy, note_mirror, set_roughness
+from pointmr_engine.shading.bsdf.widening import is_glossy, note_mirror, set_roughness, widen_keeping_light
 from pointmr_engine.shading.lobes import evaluate
 
 NO_GAPS = np.zeros(0, np.float32)  # of shade_lamps
@@ -88,9 +88,10 @@ def _hide_mirrors(lobes, i):
 
 
 @uncounted
-def widen_by_normals(lobes, spread, alpha, count):
+def widen_by_normals(lobes, spread, alpha, incoming, tables, keep, count):
     """Widen the microfacet lobes of points 0..count by the variance of their pieces' slopes; alpha keeps the result.
 
+    keep: the viewer, along incoming (N, 3) float32, receives as much light as before; tables: albedo_tables.Tables.
     Half vectors vary as the normals do, and a Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
     """
     for i in range(count):
@@ -100,7 +101,13 @@ def widen_by_normals(lobes, spread, alpha, count):
             if is_glossy(lobes.kind[i, j]):
                 note_mirror(lobes, i, j)
         if spread[i] > 0.0:
-            _widen(lobes, i, alpha, 2.0 * np.float64(spread[i]))
+            extra = 2.0 * np.float64(spread[i])
+            if keep:
+                for j in range(np.int64(lobes.count[i])):
+                    if is_glossy(lobes.kind[i, j]):
+                        widen_keeping_light(lobes, np.int64(i), np.int64(j), extra, tables, row3(incoming, i))
+            else:
+                _widen(lobes, i, alpha, extra)
             for j in range(np.int64(lobes.count[i])):
                 alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
                 alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]

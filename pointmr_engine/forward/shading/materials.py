@@ -98,7 +98,7 @@ class FullShading:
         self.shader.lobes_at(
             own.rays, own.state, own.hits, own.frames, own.view, own.wanted, n_, own.order, own.lobes
         )
-        widen_by_normals(own.lobes, own.spread, own.alpha, n_)
+        widen_by_normals(own.lobes, own.spread, own.alpha, own.view.incoming, self.shader.tables, True, n_)
         light = space.light[first : first + n]
         light[:] = 0.0
         world = self.world

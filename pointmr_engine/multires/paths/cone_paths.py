@@ -111,7 +111,15 @@ class ConePaths(WideLamps):
                     self.hits.triangle[:n] >= 0, np.int64(n), self.narrower, self.turned, self.chaos,
                     self.spread, self.shape, np.empty((3, 3)),
                 )  # fmt: skip
-            widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
+            widen_by_normals(
+                self.lobes,
+                self.spread,
+                self.alpha,
+                self.view.incoming,
+                self.stage.shader.tables,
+                False,
+                np.int64(n),
+            )
         else:
             self.turned[:n] = self.chaos[:n] = 0.0
         super().shaded(now, n, bounce)

@@ -387,7 +387,15 @@ class FragmentPaths(Workspace):
             # what their rays meet is not averaged besides
             now.state.width[self.masked] *= NARROW
             now.state.spread[self.masked] *= NARROW
-            widen_by_normals(self.lobes, self.spread, self.alpha, np.int64(n))
+            widen_by_normals(
+                self.lobes,
+                self.spread,
+                self.alpha,
+                self.view.incoming,
+                self.stage.shader.tables,
+                True,
+                np.int64(n),
+            )
             close_transparency(
                 self.lobes,
                 now.throughput,

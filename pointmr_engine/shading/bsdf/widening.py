@@ -57,6 +57,24 @@ def set_roughness(lobes, i, j, x, y, extra):
         lobes.kind[i, j] = lobes.kind[i, j] | SINGULAR_LOBE
 
 
+@device
+def widen_keeping_light(lobes, i, j, extra, tables, wi):
+    """Give the glossy lobe j of point i `extra` squared roughness, and the light along wi that it had: normals that
+    differ hide no light from each other, as facets of one roughness do. tables: albedo_tables.Tables.
+    """
+    kind, cosine = lobes.kind[i, j], dot(load3(lobes.data, i, j, NORMAL), wi)
+    x, y = np.float64(lobes.data[i, j, ALPHA_X]), np.float64(lobes.data[i, j, ALPHA_Y])
+    before = single_scattering(kind, lobes.data, i, j, tables, cosine)
+    set_roughness(lobes, i, j, x, y, extra)
+    _scale_weight(lobes, i, j, before / single_scattering(kind, lobes.data, i, j, tables, cosine))
+
+
+@device
+def _scale_weight(lobes, i, j, share):
+    for c in range(4):  # WEIGHT, SAMPLE
+        lobes.data[i, j, WEIGHT + c] *= np.float32(share)
+
+
 @uncounted
 def widen_lobes(lobes, rows, first, variance, of_coat):
     """Widen the glossy lobes of the points `rows` (m,) int64, from lobe first (m,) on, by the variance of slopes below
@@ -109,8 +127,7 @@ def _rougher(lobes, i, j, times, share, tables, cosine, compensated):
     set_roughness(lobes, i, j, times * times * x, times * times * y, 0.0)
     if compensated:
         share *= before / single_scattering(kind, lobes.data, i, j, tables, cosine)
-    for c in range(4):  # WEIGHT, SAMPLE
-        lobes.data[i, j, WEIGHT + c] *= np.float32(share)
+    _scale_weight(lobes, i, j, share)
 
 
 @uncounted
