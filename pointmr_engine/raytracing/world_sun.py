@@ -54,9 +54,9 @@ def bright_disc(weight: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray
     height, width = weight.shape
     step = math.pi / height
     brightest = directions(*np.divmod(np.array([weight.argmax()]), width), height, width)[0]
-    d, light, _ = _near(weight, solid_angle, brightest, 2.0 * WIDEST)
+    d, light, size = _near(weight, solid_angle, brightest, 2.0 * WIDEST)
     bright = light >= 0.5 * light.max()
-    middle = (light[bright, None] * d[bright]).sum(0)
+    middle = ((light * size)[bright, None] * d[bright]).sum(0)
     middle /= np.linalg.norm(middle)
     d, light, size = _near(weight, solid_angle, middle, AROUND * WIDEST)
     away = np.linalg.norm(d - middle, axis=1)

@@ -92,17 +92,14 @@ def validate_batch(batch: Instances, group: Group) -> None:
 def unique_groups(root: Group) -> list[Group]:
     """All groups reachable from `root`, each once, children before parents (root last).
 
-    Raises SceneError when a group contains itself, naming the cycle.
+    Raises SceneError when a group contains itself, naming the cycle, and where what it holds is of another kind.
     """
     done: dict[int, Group] = {}
     on_path: dict[int, Group] = {}
     stack: list[tuple[Group, Iterator[Group]]] = []
 
-    def children(g: Group) -> Iterator[Group]:
-        return (c for i in g.instances for c in i.groups)
-
     on_path[id(root)] = root
-    stack.append((root, children(root)))
+    stack.append((root, _children(root)))
     while stack:
         g, rest = stack[-1]
         child = next(rest, None)
@@ -116,8 +113,27 @@ def unique_groups(root: Group) -> list[Group]:
             raise SceneError("group contains itself: " + " -> ".join(names))
         elif id(child) not in done:
             on_path[id(child)] = child
-            stack.append((child, children(child)))
+            stack.append((child, _children(child)))
     return list(done.values())
+
+
+def _children(group: Group) -> Iterator[Group]:
+    """The groups that `group` places. Raises SceneError for what is not of the kind that its place is for."""
+    for mesh in group.meshes:
+        if not isinstance(mesh, Mesh):
+            raise SceneError(f"group '{group.name}': {type(mesh).__name__} among its meshes, expected Mesh")
+    for batch in group.instances:
+        if not isinstance(batch, Instances):
+            raise SceneError(
+                f"group '{group.name}': {type(batch).__name__} among its instances, expected Instances"
+            )
+        where = f"instances '{batch.name}' in group '{group.name}'"
+        if isinstance(batch.groups, Group):
+            raise SceneError(f"{where}: groups is a Group, expected a tuple of them")
+        for child in batch.groups:
+            if not isinstance(child, Group):
+                raise SceneError(f"{where}: {type(child).__name__} among its groups, expected Group")
+            yield child
 
 
 def count_triangles(root: Group) -> tuple[int, int, int]:

@@ -7,20 +7,14 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import blender_addon  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
 from tests.addon.beside_cycles import image  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("engine")
 
 SIZE = (64, 64)
 # samples a pixel, and how much of the image's mean square may differ
 METHODS = {"distributed": (32, 2e-3), "raytrace": (4, 4e-3)}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def engine():
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 def bumped(coordinates: str) -> bpy.types.Material:

@@ -5,9 +5,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import blender_addon  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
 from tests.addon.beside_cycles import image  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("engine")
 
 SIZE = (48, 36)
 INSIDE = np.s_[4:32, 8:40]
@@ -18,13 +19,6 @@ WALLS = {
     "right": ([(1, 1, 0), (1, -1, 0), (1, -1, 2), (1, 1, 2)], (0.1, 0.8, 0.1)),
     "top": ([(-1, -1, 2), (-1, 1, 2), (1, 1, 2), (1, -1, 2)], (0.8, 0.8, 0.8)),
 }
-
-
-@pytest.fixture(autouse=True, scope="module")
-def engine():
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 def build(lit_by: str) -> None:

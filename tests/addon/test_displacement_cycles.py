@@ -5,18 +5,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import blender_addon  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
 from tests.addon.beside_cycles import image  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 SIZE = (64, 64)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def engine():
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 def showing_normals(method: str, coordinates: str | None) -> bpy.types.Material:

@@ -5,9 +5,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import blender_addon  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
 from tests.addon.beside_cycles import image  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("engine")
 
 SIZE = (48, 48)
 MATERIALS = {
@@ -15,13 +16,6 @@ MATERIALS = {
     "satin": dict(Metallic=1.0, Roughness=0.15),
     "glass": dict(Transmission_Weight=1.0, Roughness=0.0),
 }
-
-
-@pytest.fixture(autouse=True, scope="module")
-def engine():
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 def build(material: str) -> None:

@@ -12,20 +12,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import node_planes  # noqa: E402
 
-import blender_addon  # noqa: E402
 from benchmarks import methods  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
 from benchmarks.sources import exported  # noqa: E402
 from pointmr_engine.render import Cache, render  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 SIZE = (96, 24)  # four squares of 24 pixels
-
-
-@pytest.fixture(autouse=True, scope="module")
-def engine():
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 def show(tree, socket):

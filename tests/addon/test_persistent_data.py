@@ -5,18 +5,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import blender_addon  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
 from blender_addon.headless import FrameObserver, run_render  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 BUILDING = "building hierarchies"
-
-
-@pytest.fixture(autouse=True)
-def engine():
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import node_planes  # noqa: E402
 
-import blender_addon  # noqa: E402
 from benchmarks import methods  # noqa: E402
 from benchmarks.features import stage  # noqa: E402
 from benchmarks.features.displacement import displace  # noqa: E402
@@ -21,14 +20,9 @@ from blender_addon.sync import strands as S  # noqa: E402
 from blender_addon.sync.attributes import NOTHING  # noqa: E402
 from pointmr_engine.render import Cache, render  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 SIZE = (64, 48)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def engine():
-    blender_addon.register()
-    yield
-    blender_addon.unregister()
 
 
 def strands(*lines, radius: float = 0.1) -> S.Strands:

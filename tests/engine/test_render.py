@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from pointmr_engine import (
     Group,
+    Instances,
     Light,
     Mesh,
     RenderSettings,
@@ -227,6 +228,28 @@ def test_cycle_of_groups_is_named():
     b.instances.append(instance(a))
     with pytest.raises(SceneError, match="a -> b -> a"):
         render(Scene(Group("root", instances=[instance(a)]), from_above()), TINY)
+
+
+@pytest.mark.parametrize(
+    ("meshes", "instances", "message"),
+    [
+        ([instance(Group("a"))], [], "'odd': Instances among its meshes"),
+        ([], [Group("a")], "'odd': Group among its instances"),
+        (
+            [],
+            [Instances(Group("a"), np.eye(4)[None, :3], name="rows")],
+            "'rows' in group 'odd': groups is a Group",
+        ),
+        (
+            [],
+            [Instances((quad(1.0),), np.eye(4)[None, :3], name="rows")],
+            "'rows' in group 'odd': Mesh among",
+        ),
+    ],
+)
+def test_what_is_of_another_kind_is_named(meshes, instances, message):
+    with pytest.raises(SceneError, match=message):
+        render(Scene(Group("odd", meshes, instances), from_above()), TINY)
 
 
 def test_no_camera():

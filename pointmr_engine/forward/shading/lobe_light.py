@@ -3,8 +3,8 @@ maps.
 
 Nothing is random, so nothing is noisy: a lamp is one point where it looks small, up to sixteen where it is wide and 64
 where a surface sees a part of it, or a narrow lobe one of a tube; more along a rectangle's longer side. What can bring
-little beside the light that is there already is fewer. Lobes are widened by the part of the lamp that
-each point stands for, so that sharp highlights keep the lamp's size.
+little beside the light that is there already is fewer. Lobes are widened by the part of the lamp that each point stands
+for, so that sharp highlights keep the lamp's size.
 """
 
 from __future__ import annotations
@@ -91,7 +91,9 @@ def _hide_mirrors(lobes, i):
 def widen_by_normals(lobes, spread, alpha, incoming, tables, keep, count):
     """Widen the microfacet lobes of points 0..count by the variance of their pieces' slopes; alpha keeps the result.
 
-    keep: the viewer, along incoming (N, 3) float32, receives as much light as before; tables: albedo_tables.Tables.
+    keep: the viewer, along incoming (N, 3) float32, receives as much light as before (not of what paths meet behind
+    first surfaces: hits are widened to see less noise, and single bright ones would be brighter); tables:
+    albedo_tables.Tables.
     Half vectors vary as the normals do, and a Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
     """
     for i in range(count):
