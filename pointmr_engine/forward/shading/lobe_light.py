@@ -91,9 +91,8 @@ def _hide_mirrors(lobes, i):
 def widen_by_normals(lobes, spread, alpha, incoming, tables, keep, count):
     """Widen the microfacet lobes of points 0..count by the variance of their pieces' slopes; alpha keeps the result.
 
-    keep: the viewer, along incoming (N, 3) float32, receives as much light as before (not of what paths meet behind
-    first surfaces: hits are widened to see less noise, and single bright ones would be brighter); tables:
-    albedo_tables.Tables.
+    keep: the viewer, along incoming (N, 3) float32, receives as much light as before; hits behind first surfaces, which
+    are widened for less noise, would be brighter besides. tables: albedo_tables.Tables.
     Half vectors vary as the normals do, and a Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
     """
     for i in range(count):
