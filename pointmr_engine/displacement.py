@@ -80,7 +80,7 @@ def _displace(geometry: Geometry, p: int, mesh: Mesh, programs: dict, warnings: 
         offset[lost] = 0.0
     positions = mesh.positions.copy()
     positions[vertices] += offset.astype(positions.dtype)
-    shades_moved = moves & np.array([m is not None and m.shades_moved for m in mesh.materials])[slots]
+    shades_moved = np.array([m is not None and m.shades_moved for m in mesh.materials])[slots]
     return positions, _normals(mesh, positions, shades_moved, moves & ~shades_moved, upright)
 
 

@@ -72,9 +72,14 @@ class Group:
     instances: list[Instances] = field(default_factory=list)
 
 
+def _named(batch: Instances, group: Group) -> str:
+    """A batch of `group` in messages."""
+    return f"instances '{batch.name}' in group '{group.name}'"
+
+
 def validate_batch(batch: Instances, group: Group) -> None:
     """Raise SceneError for a malformed batch of `group`, naming both."""
-    where = f"instances '{batch.name}' in group '{group.name}'"
+    where = _named(batch, group)
     m, n = batch.transforms, len(batch.transforms)
     if m.ndim != 3 or m.shape[1:] != (3, 4):
         raise SceneError(f"{where}: transforms of shape {m.shape}, expected (N, 3, 4)")
@@ -127,12 +132,12 @@ def _children(group: Group) -> Iterator[Group]:
             raise SceneError(
                 f"group '{group.name}': {type(batch).__name__} among its instances, expected Instances"
             )
-        where = f"instances '{batch.name}' in group '{group.name}'"
         if isinstance(batch.groups, Group):
-            raise SceneError(f"{where}: groups is a Group, expected a tuple of them")
+            raise SceneError(f"{_named(batch, group)}: groups is a Group, expected a tuple of them")
         for child in batch.groups:
             if not isinstance(child, Group):
-                raise SceneError(f"{where}: {type(child).__name__} among its groups, expected Group")
+                kind = type(child).__name__
+                raise SceneError(f"{_named(batch, group)}: {kind} among its groups, expected Group")
             yield child
 
 

@@ -106,6 +106,11 @@ def _is_image(step: Step) -> bool:
     return step.type.footprint is not None
 
 
+def _decided_by_images(steps: list[Step], through: bool = False) -> list[bool]:
+    """`_decided`, by image textures."""
+    return _decided(steps, [_is_image(step) for step in steps], through)
+
+
 def _is_place(step: Step, even: frozenset[str]) -> bool:
     """Whether it reads what differs from place to place of a footprint; even: attributes that do not."""
     return any(
@@ -136,7 +141,7 @@ def fine_slots(
     ]
     bends = [(at and step.type.fine) or _is_image(step) for step, at in zip(steps, placed, strict=True)]
     bent = _decided(steps, bends, through=True)
-    by_images = _decided(steps, [_is_image(step) for step in steps], through=True)
+    by_images = _decided_by_images(steps, through=True)
     normals = []
     for leaf in leaves:
         told = bent if _may_be_sharp(leaf) else by_images
@@ -148,7 +153,7 @@ def fine_slots(
 
 def image_slots(steps: list[Step], leaves: list[LeafPlan]) -> list[Slot]:
     """The sources of columns that images decide, filtered over footprints."""
-    return _columns(leaves, _decided(steps, [_is_image(step) for step in steps]))
+    return _columns(leaves, _decided_by_images(steps))
 
 
 def _may_be_sharp(leaf: LeafPlan) -> bool:
@@ -226,7 +231,7 @@ class Program:
         self.rough_names = frozenset((s.step, s.output) for s in rough)
         self._normal_plan = Plan(steps, normals)
         self._normal_names = {(s.step, s.output) for s in normals}
-        by_images = _decided(steps, [_is_image(step) for step in steps], through=True)
+        by_images = _decided_by_images(steps, through=True)
         self.normals_by_images: bool = any(by_images[s.step] for s in normals)
         images = image_slots(steps, leaves) if filtered and kind == "surface" else []
         images = [s for s in images if s not in columns]

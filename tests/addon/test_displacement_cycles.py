@@ -61,10 +61,7 @@ def test_displaced_boxes_are_those_of_cycles(tmp_path, method, coordinates, smoo
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("method", ["DISPLACEMENT", "BUMP"])
 def test_what_stays_beside_what_is_displaced_is_as_in_cycles(tmp_path, method, smooth):
-    """It shares the normals of the moved surface where they meet, where these are smooth.
-
-    Its own were 3 % too bright, and a flat mesh was smooth there.
-    """
+    """It shares the normals of the moved surface where they meet; a flat mesh, in which it was smooth, stays flat."""
     stage.empty_scene()
     bpy.ops.mesh.primitive_torus_add(major_segments=16, minor_segments=8)
     ring = bpy.context.object

@@ -45,6 +45,7 @@ EVEN = 0.02  # of a spot's light may differ over a lamp before its edge counts a
 SMALL = (
     0.15  # of what a spread lights, across, is a lamp that is small enough to send the same from everywhere
 )
+MANY = np.int64(64)  # points of a lamp at most
 LONG = 4.0  # times as long as it is wide: a rectangle of which rows have points by the lobe's width
 CELL = 1.4  # roughnesses of a lobe from one point of such a row to the next
 # by which points are moved outwards from a lamp's middle, so that their mean square distance from it is the lamp's:
@@ -56,11 +57,11 @@ APART = (
 
 
 @device
-def points_of_lamp(lamps, i, px, py, pz, normal, solid, sharp):
+def points_of_lamp(lamps, i, px, py, pz, normal, solid, sharp, most):
     """(points along lamp i's sides u and v, by how much they are moved outwards along each).
 
     solid: its solid angle from p, 0 of a lamp that is one point; normal: of the surface there; sharp: the roughness of
-    a lobe that is narrower than the lamp's longer side, or 0.
+    a lobe that is narrower than the lamp's longer side, or 0; most: points along a side.
     """
     shape = lamps.shape[i]
     across = up = np.int64(1)
@@ -70,21 +71,9 @@ def points_of_lamp(lamps, i, px, py, pz, normal, solid, sharp):
             least = _least_points(lamps, i, px, py, pz)
         across, up = _grid_of_points(lamps, i, solid, sharp)
         across, up = max(across, least), max(up, least)
-    return across, up, *_apart(shape, across, up)
-
-
-@device
-def few_points(lamps, i, across, up, most):
-    """The same as points_of_lamp of a lamp i that brings little: `most` along each side."""
-    across, up = min(across, most), min(up, most)
-    return across, up, *_apart(lamps.shape[i], across, up)
-
-
-@device
-def _apart(shape, across, up):
-    """By how much points of a grid are moved outwards along a lamp's sides."""
+        across, up = min(across, most), min(up, most)
     apart = APART[0 if shape == RECTANGLE else 1]
-    return apart[min(across, 8) - 1], apart[min(up, 8) - 1]
+    return across, up, apart[min(across, 8) - 1], apart[min(up, 8) - 1]
 
 
 @device
@@ -163,7 +152,7 @@ def _grid_of_points(lamps, i, solid, sharp):
         if shape == RECTANGLE and length > LONG:
             width = CELL * sharp
             short = _row_in_lobe(math.sqrt(solid / length), width, np.int64(1), np.int64(4))
-            long = _row_in_lobe(math.sqrt(solid * length), width, np.int64(8), np.int64(64) // short)
+            long = _row_in_lobe(math.sqrt(solid * length), width, np.int64(8), MANY // short)
             least_across, least_up = (long, short) if longer > 1.0 else (short, long)
         else:
             least_across = least_up = np.int64(4)

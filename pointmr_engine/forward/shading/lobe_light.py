@@ -14,9 +14,9 @@ import math
 import numpy as np
 
 from pointmr_engine.forward.shading.lamp_points import (
+    MANY,
     NARROWER,
     SHARP,
-    few_points,
     length_of_lamp,
     points_of_lamp,
 )
@@ -96,22 +96,17 @@ def widen_by_normals(lobes, spread, alpha, incoming, tables, keep, count):
     Half vectors vary as the normals do, and a Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
     """
     for i in range(count):
+        extra = 2.0 * np.float64(spread[i])
         for j in range(np.int64(lobes.count[i])):
-            alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
-            alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]
+            x, y = np.float64(lobes.data[i, j, ALPHA_X]), np.float64(lobes.data[i, j, ALPHA_Y])
             if is_glossy(lobes.kind[i, j]):
                 note_mirror(lobes, i, j)
-        if spread[i] > 0.0:
-            extra = 2.0 * np.float64(spread[i])
-            if keep:
-                for j in range(np.int64(lobes.count[i])):
-                    if is_glossy(lobes.kind[i, j]):
-                        widen_keeping_light(lobes, np.int64(i), np.int64(j), extra, tables, row3(incoming, i))
-            else:
-                _widen(lobes, i, alpha, extra)
-            for j in range(np.int64(lobes.count[i])):
-                alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
-                alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]
+                if keep and extra > 0.0:
+                    widen_keeping_light(lobes, np.int64(i), np.int64(j), extra, tables, row3(incoming, i))
+                elif extra > 0.0:
+                    set_roughness(lobes, i, j, x, y, extra)
+            alpha[i, j, 0] = lobes.data[i, j, ALPHA_X]
+            alpha[i, j, 1] = lobes.data[i, j, ALPHA_Y]
 
 
 @uncounted
@@ -158,14 +153,18 @@ def _passed_on(lobes, k):
 
 
 @device
-def _most_of_lamp(lamps, i, solid, rough):
-    """What lamp i, of `solid` sr, brings at most to a lobe of squared roughness `rough`: its strongest channel."""
+def _most_points(lamps, i, lobes, k, solid, rough, arrives, there):
+    """Along a lamp's side at most: fewer where all that it can bring is little beside the light that is `there`.
+
+    solid: of lamp i, sr, of which a share `arrives` at point k, whose lobes have the least squared roughness `rough`.
+    """
     if lamps.values[i, TAN_SPREAD] < math.inf:
-        return math.inf  # of its middle's beam only a part may be seen
-    radiance = max(
-        np.float64(lamps.radiance[i, 0]), np.float64(lamps.radiance[i, 1]), np.float64(lamps.radiance[i, 2])
-    )
-    return radiance * min(1.0, solid / (math.pi * max(rough, SHARP)))
+        return MANY  # of its middle's beam only a part may be seen
+    share = min(1.0, solid / (math.pi * max(rough, SHARP)))
+    brings = arrives * share * max(row3(lamps.radiance, i)) * max(_passed_on(lobes, k))
+    if brings < FAINTER * there:
+        return np.int64(2)
+    return np.int64(4) if brings < FAINT * there else MANY
 
 
 @device
@@ -197,9 +196,8 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
         r = g = b = 0.0
         widened = False
         gap = np.float64(gaps[k]) if len(gaps) > 0 else 0.0
-        x, y, z = row3(lobes.emission, k)
-        there = max(np.float64(out[k, 0]) + x, np.float64(out[k, 1]) + y, np.float64(out[k, 2]) + z)
-        sends, rough = max(_passed_on(lobes, np.int64(k))), _sharpest(lobes, np.int64(k), alpha)
+        e, received = row3(lobes.emission, k), row3(out, k)
+        there = max(received[0] + e[0], received[1] + e[1], received[2] + e[2])
         for i in range(len(lamps.shape)):
             arrives = below = 1.0
             if len(shadow) > 0:
@@ -211,17 +209,17 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
             dx, dy, dz, solid, scale = _whole_lamp(
                 lamps, i, px, py, pz, normal[0], normal[1], normal[2], transmissive
             )
-            sharp, longer = 0.0, length_of_lamp(lamps, np.int64(i))
-            if solid > SHARP and rough * math.pi < NARROWER * solid * longer:
-                sharp = math.sqrt(rough)
+            sharp, most, longer = 0.0, MANY, length_of_lamp(lamps, np.int64(i))
+            if solid > 0.0:
+                rough = _sharpest(lobes, np.int64(k), alpha)
+                if solid > SHARP and rough * math.pi < NARROWER * solid * longer:
+                    sharp = math.sqrt(rough)
+                most = _most_points(
+                    lamps, np.int64(i), lobes, np.int64(k), solid, rough, max(arrives, below), max(there, r, g, b)
+                )  # fmt: skip
             across, up, apart_u, apart_v = points_of_lamp(
-                lamps, np.int64(i), px, py, pz, normal, solid, sharp
+                lamps, np.int64(i), px, py, pz, normal, solid, sharp, most
             )
-            most = max(arrives, below) * sends * _most_of_lamp(lamps, i, solid, rough)
-            faint = solid > 0.0 and most < FAINT * max(there, r, g, b)
-            if faint:
-                side = np.int64(2) if most < FAINTER * max(there, r, g, b) else np.int64(4)
-                across, up, apart_u, apart_v = few_points(lamps, i, across, up, side)
             points = across * up
             if points == 1 and plane >= 1.0 and not transmissive:
                 if normal[0] * dx + normal[1] * dy + normal[2] * dz <= 0.0:
@@ -230,7 +228,7 @@ def shade_lamps(lobes, incoming, position, flat, alpha, gaps, lamps, shadow, ben
             bits = np.int64(0)
             if solid > 0.0:
                 more = 2.0 * max(gap - FILLS * solid / longer, 0.0)
-                if seen & GLOSSY and not faint:
+                if seen & GLOSSY and most == MANY:
                     bits = narrow_lobes(lobes, np.int64(k), alpha, more, solid)
                 if bits != 0:
                     _widen(lobes, np.int64(k), alpha, more)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pointmr_engine.forward.shading.lobe_light import widen_by_normals, widen_more
+from pointmr_engine.forward.shading.lobe_light import widen_more
 from pointmr_engine.forward.shading.world_light import world_lobe
 from pointmr_engine.multires.cones.cone_hits import Merging, allocate_fragments, gather
 from pointmr_engine.multires.cones.cones import allocate_cones
@@ -111,15 +111,7 @@ class ConePaths(WideLamps):
                     self.hits.triangle[:n] >= 0, np.int64(n), self.narrower, self.turned, self.chaos,
                     self.spread, self.shape, np.empty((3, 3)),
                 )  # fmt: skip
-            widen_by_normals(
-                self.lobes,
-                self.spread,
-                self.alpha,
-                self.view.incoming,
-                self.stage.shader.tables,
-                False,
-                np.int64(n),
-            )
+            self._widen_by_normals(n, False)
         else:
             self.turned[:n] = self.chaos[:n] = 0.0
         super().shaded(now, n, bounce)

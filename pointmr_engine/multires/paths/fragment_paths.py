@@ -381,21 +381,18 @@ class FragmentPaths(Workspace):
             rays.t_min[todo] = met.t[passes] + surface.offset[passes]
             rays.skip_triangle[todo], rays.skip_path[todo] = met.triangle[passes], met.path[passes]
 
+    def _widen_by_normals(self, n: int, keep: bool) -> None:
+        """`lobe_light.widen_by_normals` of points 0..n."""
+        tables = self.stage.shader.tables
+        widen_by_normals(self.lobes, self.spread, self.alpha, self.view.incoming, tables, keep, np.int64(n))
+
     def shaded(self, now, n: int, bounce: int) -> None:
         if bounce == 0:
             triangles, self.hits.u[triangles], self.hits.v[triangles] = self.hit
             # what their rays meet is not averaged besides
             now.state.width[self.masked] *= NARROW
             now.state.spread[self.masked] *= NARROW
-            widen_by_normals(
-                self.lobes,
-                self.spread,
-                self.alpha,
-                self.view.incoming,
-                self.stage.shader.tables,
-                True,
-                np.int64(n),
-            )
+            self._widen_by_normals(n, True)
             close_transparency(
                 self.lobes,
                 now.throughput,

@@ -71,6 +71,7 @@ def widen_keeping_light(lobes, i, j, extra, tables, wi):
 
 @device
 def _scale_weight(lobes, i, j, share):
+    """Leave lobe j of point i this share of its weight."""
     for c in range(4):  # WEIGHT, SAMPLE
         lobes.data[i, j, WEIGHT + c] *= np.float32(share)
 
