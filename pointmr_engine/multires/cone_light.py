@@ -48,12 +48,13 @@ class ConeLight:
         turns: list = [(LAMP, k) for k in range(lamps) if k not in wide]
         # what differs from place to place of a lamp is seen by lobes, and by rays, each at its place
         patterned = any(nodes.patterned for nodes in lights.nodes.values())
-        if len(wide) <= FEW and len(turns) <= FEW and not patterned:
-            turns += [(WORLD, 0)] * (arrays.tree.leaf_of_world != -1)
-            turns += [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
-            self.rays, self.many = lights.asked(turns), False
+        worlds = [(WORLD, 0)] * (arrays.tree.leaf_of_world != -1)
+        self.many = len(wide) > FEW or len(turns) > FEW or patterned
+        if self.many:
+            wide, self.rays = [], lights.asked([*worlds, *[None] * MANY_RAYS], lamps_apart=False)
         else:
-            wide, self.rays, self.many = [], lights.taken(MANY_RAYS), True
+            of_emitters = [None] * (EMITTER_RAYS if len(arrays.emitters.path) else 0)
+            self.rays = lights.asked([*turns, *worlds, *of_emitters])
         # rays that pass leaves are dear
         dear = 2 if stage.needs.transparent_shadows else 1
         self.worth, self.world_rays = WORTH / dear, WORLD_RAYS // dear

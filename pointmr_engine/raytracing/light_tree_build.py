@@ -44,14 +44,16 @@ _CLOSED = 0.05  # importance of the inside of closed meshes
 _FAINT = 1 / 64  # share of the energy below which a cluster is not worth opening there: its descent will do
 
 
-def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap, apart: bool = False) -> LightTree:
-    """The tree over all lamps, emissive triangles and the world. apart: over the triangles alone, the others ALWAYS."""
+def build_light_tree(
+    lamps: Lamps, emitters: Emitters, world: WorldMap, lamps_apart: bool = False, world_apart: bool = False
+) -> LightTree:
+    """The tree over all emissive triangles, and those of lamps and the world that are not apart: these are ALWAYS."""
     distant = np.isin(lamps.shape, (lamp_kinds.DISTANT, lamp_kinds.SUN))
-    near, far = np.flatnonzero(~distant & (not apart)), np.flatnonzero(distant & (not apart))
+    near, far = np.flatnonzero(~distant & (not lamps_apart)), np.flatnonzero(distant & (not lamps_apart))
     values = np.concatenate([_lamp_values(lamps, near), _emitter_values(emitters)])
     item = np.concatenate([near, np.arange(len(emitters.path))]).astype(np.int32)
     far_values, far_item = _sun_values(lamps, far), far
-    if world.mode != OFF and not apart:
+    if world.mode != OFF and not world_apart:
         row = np.zeros((1, COLUMNS))
         row[0, ENERGY], row[0, KIND] = world.irradiance, WORLD
         row[0, AX : AZ + 1] = world.towards
@@ -81,7 +83,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap, apart: b
     tops = np.array([*tops, *range(n, lights)], np.int32)
     top = np.full(len(kind), -1, np.int32)
     top[tops] = np.arange(len(tops))
-    leaf_of_lamp = np.full(len(lamps.shape), ALWAYS if apart else -1, np.int32)
+    leaf_of_lamp = np.full(len(lamps.shape), ALWAYS if lamps_apart else -1, np.int32)
     leaf_of_emitter = np.full(len(emitters.path), -1, np.int32)
     for leaf_of, kinds in ((leaf_of_lamp, (LAMP, SUN)), (leaf_of_emitter, (TRIANGLE,))):
         leaves = np.flatnonzero(np.isin(kind[:lights], kinds))
@@ -97,7 +99,7 @@ def build_light_tree(lamps: Lamps, emitters: Emitters, world: WorldMap, apart: b
         np.ascontiguousarray(values),
         leaf_of_lamp,
         leaf_of_emitter,
-        int(worlds[0]) if len(worlds) else (ALWAYS if apart and world.mode != OFF else -1),
+        int(worlds[0]) if len(worlds) else (ALWAYS if world_apart and world.mode != OFF else -1),
     )
 
 

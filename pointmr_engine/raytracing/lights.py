@@ -138,14 +138,12 @@ class Lights:
         """Whether the world has one radiance, and is sampled."""
         return self.arrays.world.mode in (UNIFORM, ABOVE)
 
-    def taken(self, times: int) -> Lights:
-        """The same lights, one of all of which is chosen several times."""
-        return self._with(self.arrays, [None] * times)
-
-    def asked(self, turns: list[tuple[int, int] | None]) -> Lights:
-        """The same lights with these turns: (LAMP, k), (WORLD, 0), or None for one of the emissive triangles."""
+    def asked(self, turns: list[tuple[int, int] | None], lamps_apart: bool = True) -> Lights:
+        """The same lights with these turns: (LAMP, k), (WORLD, 0), or None for one of the emissive triangles, and of
+        the lamps unless they are apart.
+        """
         a = self.arrays
-        tree = build_light_tree(a.lamps, a.emitters, self.environment.map, apart=True)
+        tree = build_light_tree(a.lamps, a.emitters, self.environment.map, lamps_apart, world_apart=True)
         return self._with(a._replace(tree=tree), turns)
 
     def _with(self, arrays: LightArrays, turns: list) -> Lights:

@@ -35,12 +35,12 @@ def lit_floor(*more: Mesh, world: World | None = None, **light) -> Scene:
     return Scene(group, from_above(), [lamp], world or uniform_world((0, 0, 0)))
 
 
-def half_a_sky() -> World:
-    """White for directions of negative x."""
+def half_a_sky(axis: str = "x") -> World:
+    """White for directions of a negative coordinate."""
     nodes = {
         "place": Node("texture_coordinate"),
         "axes": Node("separate_xyz", {"vector": Link("place", "generated")}),
-        "half": Node("math", {"value": Link("axes", "x"), "value_b": 0.0}, {"operation": "LESS_THAN"}),
+        "half": Node("math", {"value": Link("axes", axis), "value_b": 0.0}, {"operation": "LESS_THAN"}),
         "b": Node("background", {"strength": Link("half", "value")}),
     }
     return World(Graph(nodes, surface=Link("b", "background")))

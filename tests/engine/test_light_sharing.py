@@ -1,5 +1,7 @@
 """Fragments that share what they receive: means where it is the same, nothing where it is not, and no more of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -380,6 +382,17 @@ def test_stripes_under_a_sheen_keep_their_contrast():
     exact = rows(method="distributed", samples=512)
     assert exact.max() > 4.0 * exact.min() > 0.0
     np.testing.assert_allclose(ours, exact, rtol=0.04, atol=0.001 * exact.max())
+
+
+def test_a_sky_behind_a_floor_does_not_wait_for_the_lamps_before_it():
+    """Of many lights one is chosen: of a cloth that only what is below it lights, most found nothing."""
+    cloth = Node("translucent", {"color": (0.6, 0.6, 0.6)})
+    material = Material("cloth", Graph({"t": cloth}, surface=Link("t", "bsdf")))
+    lamps = [replace(lamp, power=1000.0) for lamp in four_lamps()]
+    scene = Scene(Group("root", [quad(20.0, material=material)]), from_above(), lamps, half_a_sky("z"))
+    image = render(scene, RenderSettings(40, 30, method="raytrace")).passes["combined"][..., :3]
+    assert image.mean() == pytest.approx(0.6 * 0.8, rel=0.02)
+    assert image.std() < 0.15 * image.mean()
 
 
 def ridged(wave_number: float, height: float) -> Material:
