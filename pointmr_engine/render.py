@@ -291,7 +291,7 @@ def _compile(
     if splatted and sampler is None:
         from pointmr_engine.forward.method import Sampler
 
-        sampler = Sampler(geometry, programs, environment, clock.tell, earlier)
+        sampler = Sampler(geometry, programs, environment, clock.tell, earlier, settings.threads)
     elif splatted and sampler.environment is None:
         sampler.put_under(environment)
     if walked and acceleration is None:

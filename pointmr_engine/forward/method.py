@@ -51,20 +51,21 @@ class Sampler:
         environment: Environment,
         progress=None,
         earlier: Sampler | None = None,
+        threads: int = 0,
     ):
         self.geometry, self.programs = geometry, programs
         self.octree = build_octree(geometry, progress)
         self.baker = Baker(geometry, programs)
         self.looks = self.baker.constant_looks()
         self.put_under(environment)
-        self.opacity = PartOpacity(geometry, programs)
+        self.opacity = PartOpacity(geometry, programs, threads)
         self.micromap = None  # by multires.cones.opacity_micromap, when shadow rays first pass surfaces
         if earlier is not None and have_same_cut_outs(earlier.opacity, self.opacity):
             self.cut_outs, self.densest_cut_outs = earlier.cut_outs, earlier.densest_cut_outs
             self.near_cut_outs = earlier.near_cut_outs.of(self.opacity)
             self.micromap = earlier.micromap
         else:
-            self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(self.opacity)
+            self.cut_outs, self.densest_cut_outs, sources = build_cut_outs(self.opacity, progress)
             self.near_cut_outs = NearCutOuts(sources)
         self.emissive_lamps = emissive_lamps(geometry, programs)
         self.corners = triangle_corners(self.octree)

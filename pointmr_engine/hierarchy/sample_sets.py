@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +35,7 @@ from pointmr_engine.hierarchy.surfels import (
     merge_surfels,
     typical_rows,
 )
+from pointmr_engine.numerics.run_all import run_all
 
 NEVER, NOT_YET = -1, -2  # in SetArrays.sets[:, 0]: the node has no set; its set is not built yet
 # Below a cell that fits its group, nodes of fewer instances have no set: their groups' sets serve. Groups of many
@@ -232,18 +232,7 @@ class SampleSets:
             self._make(g, level)
             _met.add(kind)
             done += 1
-        if not rest:
-            return
-        pool = ThreadPoolExecutor(min(threads, len(rest)), thread_name_prefix="pointmr-sets")
-        try:
-            pending = {pool.submit(self._make, g, level) for g, level in rest}
-            while pending:
-                progress((len(wanted) - len(pending)) / len(wanted))
-                finished, pending = wait(pending, timeout=0.1, return_when=FIRST_EXCEPTION)
-                for future in finished:
-                    future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        run_all(self._make, rest, threads, lambda part: progress((done + part * len(rest)) / len(wanted)))
 
     def _make(self, g: int, level: int) -> Surfels:
         """The surfels of group g at `level`: built already, or ready, or from a file, or made now. For any thread."""

@@ -185,9 +185,9 @@ class Program:
 
     needs: what `evaluate` reads of SurfacePoints: field names, "uv:NAME" ("uv:" is the active layer),
         "uv_footprint:NAME", "tangent:NAME", "attribute:NAME", "instance_attribute:NAME", "moved".
-    transparency_needs, emission_needs, shown_needs: the same for `transparency`, `emission` and `shown`. fine_reads:
-        for `fine_values`, of which rough_names are roughnesses; fine_needs: what shading.footprint_mean wants besides;
-        all are empty where nothing is fine.
+    transparency_needs, emission_needs, passed_needs: the same for `transparency`, `emission` and `passed_and_shown`.
+        fine_reads: for `fine_values`, of which rough_names are roughnesses; fine_needs: what shading.footprint_mean
+        wants besides; all are empty where nothing is fine.
         normal_reads, normal_needs, rough_reads...: the same for `normal_values`, `rough_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
@@ -220,7 +220,7 @@ class Program:
         self._transparency, self._shown = unfiltered.transparency, unfiltered.shown if transparency else []
         self._emission = emission
         self._transparency_plan = Plan(unfiltered.steps, self._transparency)
-        self._shown_plan = Plan(unfiltered.steps, self._shown)
+        self._passed_plan = Plan(unfiltered.steps, [*self._transparency, *self._shown])
         self._emission_plan = Plan(steps, emission)
         columns, normals = (
             fine_slots(steps, leaves, not transparency, even) if filtered and kind == "surface" else ([], [])
@@ -250,14 +250,14 @@ class Program:
         self.normal_reads: frozenset[str] = self._normal_plan.needs
         self.normal_needs: frozenset[str] = self.normal_reads | NEEDS if normals else frozenset()
         self.transparency_needs: frozenset[str] = self._transparency_plan.needs
-        self.shown_needs: frozenset[str] = self._shown_plan.needs
+        self.passed_needs: frozenset[str] = self._passed_plan.needs
         self.emission_needs: frozenset[str] = self._emission_plan.needs
         self.emission_placed: bool = bool(names_of(self.emission_needs) & OF_PLACEMENT)
         self.varying_with: frozenset[str] = frozenset().union(*(leaf.varying_with for leaf in leaves))
         self.surface_only: bool = self.varying_with <= {"surface"}
         self.opaque: bool = not transparency
         self.unforeseen: bool = bool(self.transparency_needs & UNFORESEEN)
-        read = names_of(self.transparency_needs | self.shown_needs)
+        read = names_of(self.passed_needs)
         self.adds: bool = bool(self._shown)
         self.placed: bool = bool(read & (OF_PLACEMENT if "incoming" in read else OF_PLACEMENT | OF_ROTATION))
         self.turns_with_view: bool = "incoming" in read
@@ -323,30 +323,34 @@ class Program:
         """(N, 3) float32 share of light that passes straight through at the points themselves, for shadow rays: what
         materials make of a mean of their images is not the mean of what they let through.
         """
-        return _sum(self._transparency, self._transparency_plan, points)
+        return _sums(self._transparency_plan, points, self._transparency)[0]
 
-    def shown(self, points: SurfacePoints) -> np.ndarray:
-        """(N, 3) float32: what is emitted, and the weights of all lobes, of a program that `adds`."""
-        return _sum(self._shown, self._shown_plan, points)
+    def passed_and_shown(self, points: SurfacePoints) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 3) float32 each: `transparency`; what is emitted, and the weights of all lobes, of a program that `adds`.
+        Reads `passed_needs`.
+        """
+        passed, shown = _sums(self._passed_plan, points, self._transparency, self._shown)
+        return passed, shown
 
     def emission(self, points: SurfacePoints) -> np.ndarray:
         """(N, 3) float32 emitted radiance (background radiance for a world), without a coat's or sheen's shading."""
-        return _sum(self._emission, self._emission_plan, points)
+        return _sums(self._emission_plan, points, self._emission)[0]
 
 
-def _sum(terms: list[Source], plan: Plan, points: SurfacePoints) -> np.ndarray:
-    """(N, 3) float32 sum of what `plan` makes of `terms` at the points, of which there may be none."""
-    total = np.zeros((points.count, 3), np.float32)
+def _sums(plan: Plan, points: SurfacePoints, *sums: list[Source]) -> list[np.ndarray]:
+    """(N, 3) float32 of what `plan` makes of the terms of each of `sums` at the points, of which there may be none."""
+    totals = [np.zeros((points.count, 3), np.float32) for _ in sums]
     if not points.count:
-        return total
+        return totals
     with np.errstate(all="ignore"):
         memo = plan.run(points)
-    for term in terms:
-        value = read(term, memo)
-        total += value if value.ndim == 2 else value[:, None]
-    if not np.isfinite(total.sum()):
-        np.nan_to_num(total, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    return total
+    for total, terms in zip(totals, sums, strict=True):
+        for term in terms:
+            value = read(term, memo)
+            total += value if value.ndim == 2 else value[:, None]
+        if not np.isfinite(total.sum()):
+            np.nan_to_num(total, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return totals
 
 
 def _fill(leaf: LeafPlan, memo: dict[tuple[int, str], np.ndarray]) -> Leaf:

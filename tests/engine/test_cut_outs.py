@@ -20,6 +20,7 @@ from pointmr_engine.forward.drawing.cut_out_cover import nearest_as_opaque
 from pointmr_engine.forward.drawing.cut_outs import FINEST, SAMPLES, build_cut_outs, lattices
 from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.geometry import compile_geometry
+from pointmr_engine.render import Cancelled
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.mesh import Attribute
 from pointmr_engine.scene.settings import RaytraceSettings
@@ -72,11 +73,29 @@ def leaves(count: int, material: Material, sizes=(1.0,)) -> Mesh:
     )  # fmt: skip
 
 
-def cut_outs(mesh: Mesh):
+def cut_outs(mesh: Mesh, threads: int = 0, progress=None):
     scene = Scene(Group("root", [mesh]), from_above(9.0), [], BLACK)
     geometry = compile_geometry(scene)
     programs = [compile_graph(m.graph) for m in geometry.materials]
-    return build_cut_outs(PartOpacity(geometry, programs))[:2]
+    return build_cut_outs(PartOpacity(geometry, programs, threads), progress)[:2]
+
+
+def test_cut_outs_do_not_depend_on_threads_and_tell_how_far_they_are():
+    mesh, told = leaves(40, leaf(), np.linspace(0.5, 1.0, 40)), []
+    alone, together = cut_outs(mesh, 1, told.append), cut_outs(mesh, 3)
+    assert len(alone[0].side) == 80 and alone[0].side[0] == FINEST
+    for one, other in zip(alone, together, strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert len(told) > 3 and told == sorted(told) and 0.0 <= told[0] and told[-1] < 1.0
+
+
+def test_cut_outs_can_be_cancelled():
+    def stop(fraction: float) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        cut_outs(leaves(4, leaf()), progress=stop)
 
 
 def test_leaves_of_other_colours_share_their_shape():

@@ -8,6 +8,7 @@ transparent is drawn at a share of its subpixels (ordered dither). Triangles tha
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -88,10 +89,12 @@ def no_cut_outs(parts: int) -> CutOuts:
     return even_cut_outs(np.full(parts, -1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2, 2), np.uint8))
 
 
-def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Source]]:
+def build_cut_outs(
+    opacity_of: PartOpacity, progress: Callable[[float], object] | None = None
+) -> tuple[CutOuts, CutOuts, list[Source]]:
     """The cut-outs of all parts whose materials let light through: by their mean opacity, and by that of the channel
     that they block most, for methods whose rays pass what goes through the others (Image.coloured); and what
-    they are samples of.
+    they are samples of. progress(fraction) may raise to cancel.
     """
     geometry = opacity_of.geometry
     first = np.full(len(geometry.parts), -1, np.int64)
@@ -105,7 +108,9 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
             total += len(mesh.triangles)
     coarse = _side(sum(len(which) * source.looks for _, source, which, _ in groups), FEWEST, FIRST)
     sources, known = [], 0
-    for mask, source, which, inverse in groups:
+    tell = progress or (lambda fraction: None)
+    for k, (mask, source, which, inverse) in enumerate(groups):
+        tell(0.5 * k / len(groups))
         which, shared = _without_even(source, which, coarse)
         mask[source.triangles] = known + shared[inverse]
         known += len(which)
@@ -115,6 +120,7 @@ def build_cut_outs(opacity_of: PartOpacity) -> tuple[CutOuts, CutOuts, list[Sour
     at = 0
     for source in sources:
         for chosen in batches(source.triangles, side):
+            tell(0.5 + 0.5 * at / known)
             rows = at + np.arange(len(chosen))
             opacity[:, rows] = sampled(source.opacity, chosen, rows, side)
             at += len(chosen)
@@ -146,7 +152,7 @@ def _groups(opacity_of: PartOpacity, part: int) -> list[tuple[Source, np.ndarray
             continue
         triangles = np.flatnonzero(material == m)
         own = partial(opacity_of.opacity, m, part, adds=program.adds)
-        needs = program.transparency_needs | program.shown_needs
+        needs = program.passed_needs
         source = Source(own, triangles, opacity_of.looks(m, part))
         found.append((source, *opacity_classes(geometry, part, needs, triangles, own)))
     return found

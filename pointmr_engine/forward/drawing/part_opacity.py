@@ -13,9 +13,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pointmr_engine.forward.baked.opacity_lattice import BATCH
 from pointmr_engine.hierarchy.geometry import Geometry
 from pointmr_engine.hierarchy.placements import Placements, placements
+from pointmr_engine.numerics.run_all import run_all
 from pointmr_engine.raytracing.surface import place_points, points_at
 from pointmr_engine.shading.points import SurfacePoints
 from pointmr_engine.shading.program import Program
@@ -23,6 +23,7 @@ from pointmr_engine.shading.program import Program
 # cosines to the normal under which what depends on the view is looked at, the first for its mean
 VIEWS = (1.0, -1.0, 0.5, -0.5, 0.1, -0.1)
 MOST_PLACEMENTS = 8  # of a part, that are looked at
+PIECE = 1 << 16  # points of a thread at once
 # shares of subpixels that what is added to what passes covers: where rays go on, as much as it shines between these;
 # elsewhere the least, for it hides what it covers
 LEAST_ADDED, MOST_ADDED = 1 / 8, 1 / 4
@@ -31,9 +32,11 @@ LEAST_ADDED, MOST_ADDED = 1 / 8, 1 / 4
 class PartOpacity:
     """Opacity of the parts of a scene under its materials' programs."""
 
-    def __init__(self, geometry: Geometry, programs: list[Program]) -> None:
-        self.geometry, self.programs = geometry, programs
+    def __init__(self, geometry: Geometry, programs: list[Program], threads: int = 0) -> None:
+        """threads: for many points; 0: one per core."""
+        self.geometry, self.programs, self.threads = geometry, programs, threads
         self._placements: dict[int, Placements] = {}
+        self._met: set[int] = set()  # materials that points have been looked up of
 
     def opacity(
         self, material: int, part: int | np.ndarray, triangles: np.ndarray, u: np.ndarray, v: np.ndarray,
@@ -47,29 +50,37 @@ class PartOpacity:
         program = self.programs[material]
         result = np.empty((len(triangles), 4 if adds else 2))
         alone = not program.placed or np.ndim(part) == 0
+
+        def fill(own, rows) -> None:
+            result[rows] = self._of_part(program, own, triangles[rows], u[rows], v[rows], adds)
+
+        pieces = []
         for p in (part,) if alone else np.unique(part):
             whole = np.arange(len(triangles)) if alone else np.flatnonzero(part == p)
-            for at in range(0, len(whole), BATCH):
-                rows = whole[at : at + BATCH]
-                own = p if np.ndim(p) == 0 else p[rows]
-                result[rows] = self._of_part(program, own, triangles[rows], u[rows], v[rows], adds)
+            for at in range(0, len(whole), PIECE):
+                rows = whole[at : at + PIECE]
+                pieces.append((p if np.ndim(p) == 0 else p[rows], rows))
+        if pieces and material not in self._met:  # numba must not meet new types on two threads
+            fill(*pieces.pop())
+            self._met.add(material)
+        run_all(fill, pieces, self.threads)
         return result
 
     def _of_part(self, program: Program, part, triangles, u, v, adds: bool) -> np.ndarray:
         n = len(triangles)
-        needs = program.transparency_needs | (program.shown_needs if adds else frozenset())
+        needs = program.passed_needs if adds else program.transparency_needs
         mean, least, added, looks = np.zeros(n), np.ones(n), np.zeros(n, np.float32), 0
         known = not program.unforeseen and (
             not program.placed or len(self._placed(part).part) <= MOST_PLACEMENTS
         )
         for view, points in self._seen(program, part, triangles, u, v, needs):
-            clear = np.clip(program.transparency(points), 0.0, 1.0)
+            passed, shown = program.passed_and_shown(points) if adds else (program.transparency(points), None)
+            clear = np.clip(passed, 0.0, 1.0)
             least = np.minimum(least, -largest(-clear))
             if view == VIEWS[0]:
                 mean += (clear[:, 0] + clear[:, 1] + clear[:, 2]) / 3.0
                 looks += 1
             if adds:
-                shown = program.shown(points)
                 added = np.maximum(added, np.where(largest(clear + shown) > 1.001, largest(shown), 0.0))
         if not known:
             least[:] = 0.0
