@@ -225,7 +225,7 @@ class SampleSets:
         rest, done = [], 0
         for g, level in wanted:
             kind = (self.strategy, bool(self.octree.geometry.group_batches[g]))
-            if kind in _met and threads > 1:
+            if kind in _met:
                 rest.append((g, level))
                 continue
             progress(done / len(wanted))

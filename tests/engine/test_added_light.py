@@ -61,6 +61,19 @@ def test_it_is_seen_and_what_lies_behind_it_too(kind, clear, cones):
     assert np.abs(ours - exact).mean() < 0.02 * exact.mean()
 
 
+@pytest.mark.parametrize("second", [(0.9, 0.9, 0.9), (0.7, 0.5, 0.1)])
+@pytest.mark.parametrize("cones", [1, 4])
+def test_two_transparencies_brighten_what_lies_behind_them(second, cones):
+    """Their sum is more than one: no surface does that, but shaders of holes in holes do, and Cycles shows it."""
+    material = added(1.0, "diffuse", (0.8, 0.8, 0.8))
+    material.graph.nodes["glow"] = Node("transparent", {"color": second})
+    cache, whole = Cache(), scene(material)
+    exact = image(whole, cache, method="distributed", samples=128)
+    ours = image(whole, cache, cones=cones)
+    np.testing.assert_allclose(ours[MIDDLE].mean((0, 1)), exact[MIDDLE].mean((0, 1)), rtol=0.03)
+    np.testing.assert_allclose(ours.mean((0, 1)), exact.mean((0, 1)), rtol=0.02)
+
+
 @pytest.mark.parametrize("strength", [0.02, 0.3, 5.0])
 def test_it_shines_as_much_however_strong(strength):
     whole = scene(added(strength), DARK, floor=False)

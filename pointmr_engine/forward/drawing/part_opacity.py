@@ -23,6 +23,9 @@ from pointmr_engine.shading.program import Program
 # cosines to the normal under which what depends on the view is looked at, the first for its mean
 VIEWS = (1.0, -1.0, 0.5, -0.5, 0.1, -0.1)
 MOST_PLACEMENTS = 8  # of a part, that are looked at
+# transparency from which a surface adds to light that goes through it, and what counts as its share: rays tell how much
+# it is
+BRIGHTENS, BRIGHTENED = 1.001, 0.01
 PIECE = 1 << 16  # points of a thread at once
 # shares of subpixels that what is added to what passes covers: where rays go on, as much as it shines between these;
 # elsewhere the least, for it hides what it covers
@@ -77,6 +80,7 @@ class PartOpacity:
             passed, shown = program.passed_and_shown(points) if adds else (program.transparency(points), None)
             clear = np.clip(passed, 0.0, 1.0)
             least = np.minimum(least, -largest(-clear))
+            least[largest(passed) > BRIGHTENS] = BRIGHTENED
             if view == VIEWS[0]:
                 mean += (clear[:, 0] + clear[:, 1] + clear[:, 2]) / 3.0
                 looks += 1

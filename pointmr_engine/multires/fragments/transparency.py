@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pointmr_engine.forward.drawing.part_opacity import BRIGHTENS
 from pointmr_engine.forward.shading.lobe_light import ADDED
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.shading.bsdf.layout import SAMPLE, WEIGHT
@@ -47,9 +48,10 @@ def close_transparency(lobes, throughput, coloured, by_view, passed, through, co
 
     coloured (N,) bool: covered by what the densest channel blocks; what the others let through besides stays. Elsewhere
     coverage is by mean opacity, and nothing stays. by_view (N,) bool: covered by the most that anybody sees of them:
-    what passes besides stays. passed (N,) float32: the share that coverage lets through there. Of
-    lobes that were added to what passes (Add Shader), no more is taken: they do not fade with what they hide, and a
-    surface that lets nearly all through would shine. through (N, 3) float32: see _leave_holes, or UNKNOWN.
+    what passes besides stays, as it does where it is brighter behind a surface than before it. passed (N,) float32: the
+    share that coverage lets through there. Of lobes that were added to what passes (Add Shader), no more is taken: they
+    do not fade with what they hide, and a surface that lets nearly all through would shine. through (N, 3) float32: see
+    _leave_holes, or UNKNOWN.
     """
     for k in range(count):
         sent = (0.0, 0.0, 0.0)
@@ -58,13 +60,14 @@ def close_transparency(lobes, throughput, coloured, by_view, passed, through, co
             sent = combine(1.0, sent, _share_sent(lobes, np.int64(k), np.int64(j)), weight)
         most = max(sent[0], sent[1], sent[2])
         scale = _leave_holes(lobes, through, k) if through[k, 0] >= 0.0 else 1.0
-        average, least = 0.0, 1.0
+        average, least, brightest = 0.0, 1.0, 0.0
         for c in range(3):
+            brightest = max(brightest, np.float64(lobes.transparency[k, c]))
             clear = min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0)
             average += clear / 3.0
             least = min(least, clear)
         taken = min(least if coloured[k] else average, 0.999)
-        if by_view[k]:
+        if by_view[k] or brightest > BRIGHTENS:
             taken = min(taken, np.float64(passed[k]))
         if scale * most > ADDED * (1.0 - taken):
             taken = min(taken, np.float64(passed[k]))
