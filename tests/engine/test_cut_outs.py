@@ -44,13 +44,15 @@ def leaf(coloured: bool = False) -> Material:
         ),
         "place": Node("attribute", {}, {"name": "place"}),
         "tint": Node("attribute", {}, {"name": "tint"}),
-        "bsdf": Node("principled", {
-            "base_color": Link("tint", "color"), "alpha": Link("image", "alpha"), "specular_ior_level": 0.0,
-        }),
+        "bsdf": Node("principled", {"base_color": Link("tint", "color"), "specular_ior_level": 0.0}),
         "clear": Node("transparent", {"color": Link("tint", "color") if coloured else (0.0, 0.0, 0.0)}),
         "both": Node("add_shader", {"shader": Link("bsdf", "bsdf"), "shader_b": Link("clear", "bsdf")}),
+        "hole": Node("transparent"),
+        "card": Node("mix_shader", {
+            "fac": Link("image", "alpha"), "shader": Link("hole", "bsdf"), "shader_b": Link("both", "shader"),
+        }),
     }  # fmt: skip
-    return Material("leaf", Graph(nodes, surface=Link("both", "shader")))
+    return Material("leaf", Graph(nodes, surface=Link("card", "shader")))
 
 
 def leaves(count: int, material: Material, sizes=(1.0,)) -> Mesh:
