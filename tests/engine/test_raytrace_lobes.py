@@ -23,7 +23,7 @@ from pointmr_engine import (
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.texture import Image
-from tests.engine.small_scenes import from_above, quad, sky_with_a_sun
+from tests.engine.small_scenes import quad, sky_with_a_sun
 from tests.engine.test_raytrace_light import card, image
 
 ANGLE = math.radians(40)
@@ -168,29 +168,3 @@ def test_brushed_metal_is_no_round_lobe(rotation):
     assert np.abs(even - exact).mean() > 0.2 * exact.mean()
     assert np.abs(ours - exact).mean() < 0.1 * exact.mean()
     assert ours.mean() == pytest.approx(exact.mean(), rel=0.02)
-
-
-def test_a_small_fragment_follows_one_of_its_lobes():
-    """As many rays for a pixel as it has fragments, not as these have lobes; what they bring is the same."""
-    rng = np.random.default_rng(1)
-    middle = rng.uniform((-0.6, -0.5, -0.4), (0.6, 0.5, 0.4), (30000, 1, 3))
-    positions = (middle + 0.006 * rng.normal(size=(30000, 3, 3))).reshape(-1, 3).astype(np.float32)
-    nodes = {
-        "g": Node("glossy", {"color": (0.8, 0.3, 0.3), "roughness": 0.5}),
-        "r": Node("refraction", {"color": (0.3, 0.3, 0.8), "roughness": 0.5, "ior": 1.4}),
-        "m": Node("mix_shader", {"fac": 0.5, "shader": Link("g", "bsdf"), "shader_b": Link("r", "bsdf")}),
-    }
-    glitter = Material("glitter", Graph(nodes, surface=Link("m", "shader")))
-    leaves = Mesh("leaves", positions, np.arange(90000, dtype=np.int32).reshape(-1, 3), materials=(glitter,))
-    scene = Scene(Group("root", [leaves]), from_above(3.0), [], sky_with_a_sun(0.5, 3.0, 0.2))
-    cache, common = Cache(), {"max_bounces": 1}
-    ours = [
-        render(scene, RenderSettings(48, 32, method="raytrace", seed=k, **common), cache=cache)
-        for k in range(4)
-    ]
-    counters = ours[0].stats["counters"]
-    assert counters["fragments"] > 4 * 48 * 32 / 2
-    assert counters["lobe_rays"] < 1.5 * counters["fragments"]
-    exact = render(scene, RenderSettings(48, 32, method="distributed", samples=256, **common))
-    light = np.mean([r.passes["combined"][..., :3] for r in ours], (0, 1, 2))
-    np.testing.assert_allclose(light, exact.passes["combined"][..., :3].mean((0, 1)), rtol=0.03)

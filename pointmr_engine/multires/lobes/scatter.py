@@ -108,9 +108,8 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
                   first_share, bounced, passed):  # fmt: skip
     """Paths and cones behind the surfaces of paths 0..n, into out and record; returns how many.
 
-    At the first surface every lobe goes on, while there is room, but one of a small fragment's; behind it one, by
-    chance, but where a strong path meets clear glass or a mirror. Straight transparency is a path without a cone of its
-    own: the ray goes on.
+    At the first surface every lobe goes on, while there is room; behind it one of them, by chance, but where a strong
+    path meets clear glass or a mirror. Straight transparency is a path without a cone of its own: the ray goes on.
     cone_of (N, L) int32: of lobes whose cones find what shines on them, without chance, the first cone; else -1. small
     (N,) bool: points that weigh too little to be worth cones. bent (N,) bool: points in whose mirrors light samples
     look for lamps. curved (N,), shape (N, 6): as of curvature.spread_of_curvature; they count at the first surface.
@@ -161,10 +160,7 @@ def scatter_lobes(paths, samples, hits, frames, lobes, limits, tables, tables_of
         )  # fmt: skip
         if not total > 0.0:
             continue
-        if bounce == 0:  # what passes small ones straight on is no noise of theirs
-            divides = not small[k] or _largest(clear) > 0.0
-        else:
-            divides = _largest(t) >= CLEAR and _all_clear(lobes, np.int64(k))
+        divides = bounce == 0 or (_largest(t) >= CLEAR and _all_clear(lobes, np.int64(k)))
         chosen = total < SPLIT or crowded or not divides
         glints = _largest(t) < glinting or paths.state.diffuse_depth[k] > 0
         sampled = bounce > 0 and lobes.flags[k] & HAS_EVALUATION != 0
