@@ -37,7 +37,7 @@ from pointmr_engine.raytracing.rays import allocate_rays
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.settings import RaytraceSettings
 from pointmr_engine.shading.program import compile_graph
-from tests.engine.small_scenes import at, from_above, lit_floor, quad
+from tests.engine.small_scenes import at, from_above, half_a_sky, lit_floor, quad
 
 CASES = {case.name: case for case in all_cases()}
 SETTINGS = RenderSettings(width=48, height=36, method="raytrace", raytrace=RaytraceSettings(cones=1))
@@ -265,6 +265,18 @@ def test_sharp_reflections_are_not_shared_between_views():
         principled("smooth", roughness=0.0),
     ]
     assert sharpest([compile_graph(m.graph) for m in materials]) == pytest.approx([0.25, 0.01, 0.0, math.inf])
+
+
+def test_clear_glass_behind_a_lens_shows_what_it_mirrors_and_what_lies_behind_it():
+    """Each view's fragments are small; were one of both lobes left to chance, bottles and glasses would be noise."""
+    glass = Material("glass", Graph({"g": Node("glass", {"roughness": 0.0})}, surface=Link("g", "bsdf")))
+    camera = from_above(fstop=0.05, focus_distance=2.5)
+    scene = Scene(Group("root", [quad(20.0, material=glass)]), camera, [], half_a_sky("z"))
+    frame = render(scene, SETTINGS)
+    assert frame.stats["needs"]["lens_views"] > 4
+    image = frame.passes["combined"][..., :3]
+    assert image.mean() == pytest.approx(0.8 * (1.0 - 0.04), rel=0.02)
+    assert image.std() < 0.005 * image.mean()
 
 
 def waves(axis: str) -> Material:
