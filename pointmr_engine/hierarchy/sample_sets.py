@@ -8,7 +8,6 @@ and no walk to its leaves. A (group, level) is built when a view first asks for 
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable
 from typing import NamedTuple
@@ -186,7 +185,7 @@ class SampleSets:
             wanted = [(int(g), int(level)) for g, level in wanted]
             wanted = [pair for pair in dict.fromkeys(wanted) if pair not in self.built]
             try:
-                self._make_all(wanted, progress or (lambda fraction: None), threads or os.cpu_count() or 1)
+                self._make_all(wanted, progress or (lambda fraction: None), threads)
                 self._take(wanted)
             finally:
                 self._candidates.clear()
@@ -220,7 +219,7 @@ class SampleSets:
 
     # Building
 
-    def _make_all(self, wanted: list[tuple[int, int]], progress, threads: int) -> None:
+    def _make_all(self, wanted: list[tuple[int, int]], progress, threads: int | None) -> None:
         """Make what is wanted ready: the first of its kind here, since numba must not meet new types on two threads."""
         rest, done = [], 0
         for g, level in wanted:

@@ -15,11 +15,11 @@ def test_each_item_is_worked_on_once(threads):
     assert sorted(seen) == [(k, -k) for k in range(20)]
 
 
-def test_one_thread_is_this_one_and_more_are_others():
-    for threads, same in ((1, True), (2, False)):
-        names = set()
-        run_all(lambda: names.add(threading.get_ident()), [()] * 4, threads)  # noqa: B023
-        assert (threading.get_ident() in names) == same
+@pytest.mark.parametrize(("threads", "same"), [(1, True), (2, False)])
+def test_one_thread_is_this_one_and_more_are_others(threads, same):
+    names = set()
+    run_all(lambda: names.add(threading.get_ident()), [()] * 4, threads)
+    assert (threading.get_ident() in names) == same
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -23,8 +23,8 @@ from pointmr_engine.shading.program import Program
 # cosines to the normal under which what depends on the view is looked at, the first for its mean
 VIEWS = (1.0, -1.0, 0.5, -0.5, 0.1, -0.1)
 MOST_PLACEMENTS = 8  # of a part, that are looked at
-# transparency from which a surface adds to light that goes through it, and what counts as its share: rays tell how much
-# it is
+# of light: from what sends on more, something is added; where it is what passes, what counts as its share, for rays
+# tell how much it is
 BRIGHTENS, BRIGHTENED = 1.001, 0.01
 PIECE = 1 << 16  # points of a thread at once
 # shares of subpixels that what is added to what passes covers: where rays go on, as much as it shines between these;
@@ -79,13 +79,12 @@ class PartOpacity:
         for view, points in self._seen(program, part, triangles, u, v, needs):
             passed, shown = program.passed_and_shown(points) if adds else (program.transparency(points), None)
             clear = np.clip(passed, 0.0, 1.0)
-            least = np.minimum(least, -largest(-clear))
-            least[largest(passed) > BRIGHTENS] = BRIGHTENED
+            least = np.minimum(least, np.where(largest(passed) > BRIGHTENS, BRIGHTENED, -largest(-clear)))
             if view == VIEWS[0]:
                 mean += (clear[:, 0] + clear[:, 1] + clear[:, 2]) / 3.0
                 looks += 1
             if adds:
-                added = np.maximum(added, np.where(largest(clear + shown) > 1.001, largest(shown), 0.0))
+                added = np.maximum(added, np.where(largest(clear + shown) > BRIGHTENS, largest(shown), 0.0))
         if not known:
             least[:] = 0.0
         found = 1.0 - np.stack((mean / looks, least), 1)

@@ -62,8 +62,9 @@ def close_transparency(lobes, throughput, coloured, by_view, passed, through, co
         scale = _leave_holes(lobes, through, k) if through[k, 0] >= 0.0 else 1.0
         average, least, brightest = 0.0, 1.0, 0.0
         for c in range(3):
-            brightest = max(brightest, np.float64(lobes.transparency[k, c]))
-            clear = min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0)
+            passes = np.float64(lobes.transparency[k, c])
+            brightest = max(brightest, passes)
+            clear = min(max(passes, 0.0), 1.0)
             average += clear / 3.0
             least = min(least, clear)
         taken = min(least if coloured[k] else average, 0.999)
