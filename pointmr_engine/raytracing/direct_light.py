@@ -12,14 +12,20 @@ from pointmr_engine.numerics.hashing import hash_path
 from pointmr_engine.numerics.jit import device, uncounted
 from pointmr_engine.numerics.rng import sample_4d
 from pointmr_engine.raytracing import walk
-from pointmr_engine.raytracing.light_sampling import NONE, TRIANGLE, LightSamples
+from pointmr_engine.raytracing.light_sampling import LAMP, NONE, TRIANGLE, LightSamples
 from pointmr_engine.raytracing.path_arrays import FINAL, Limits, Paths, Samples
 from pointmr_engine.raytracing.paths import only_diffuse
 from pointmr_engine.raytracing.rays import Hits, Rays, allocate_rays
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, SHADOW, TRANSMISSION
-from pointmr_engine.shading.bsdf.layout import HAS_EVALUATION, HAS_TRANSMISSION
-from pointmr_engine.shading.bsdf.vector import dot, row3
-from pointmr_engine.shading.lobes import evaluate
+from pointmr_engine.shading.bsdf.layout import (
+    BUMPED,
+    HAS_EVALUATION,
+    HAS_TRANSMISSION,
+    KIND_MASK,
+    TRANSLUCENT,
+)
+from pointmr_engine.shading.bsdf.vector import combine, dot, row3
+from pointmr_engine.shading.lobes import evaluate, value_of
 
 # of a shadow ray's light, for each surface that it has passed: chance decides about what has less left
 FAINT = 0.01
@@ -121,6 +127,9 @@ def connect(
         if above and not lobes.flags[k] & HAS_TRANSMISSION and dot(row3(lobes.geometric_normal, k), wo) < 0.0:
             continue
         diffuse, matt, glossy, transmission, pdf = evaluate(lobes, k, (-d[0], -d[1], -d[2]), wo)
+        if limits.diffuse_by_lights and lights.kind[i] != LAMP and lobes.flags[k] & HAS_TRANSMISSION:
+            by_rays = _sent_through(lobes, k, wo, 0.0 if scattered else lights.pdf[i], pdf)
+            diffuse = combine(1.0, diffuse, 1.0, by_rays)
         seen = lights.visibility[i]
         f0, f1, f2 = 0.0, 0.0, 0.0
         if seen & DIFFUSE:
@@ -158,6 +167,31 @@ def connect(
         out.raised[n] = not scattered
         n += 1
     return n
+
+
+@device
+def _sent_through(lobes, k, wo, of_light, of_lobes):
+    """What bumped translucent lobes of point k send toward wo beyond what `evaluate` says, where no rays of theirs look
+    for lights, but those of Cycles do.
+
+    Bumps darken what is sent to samples of lights, and nothing that is sent by rays through the surface. of_light,
+    of_lobes: densities of both at wo, weighed by the power heuristic; of_light 0: there are rays alone.
+    """
+    added, wi = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)  # of no influence on what is translucent
+    within = dot(row3(lobes.geometric_normal, k), wo) < 0.0
+    for j in range(np.int64(lobes.count[k])):
+        kind = lobes.kind[k, j]
+        if kind & KIND_MASK != TRANSLUCENT or not kind & BUMPED:
+            continue
+        by_ray, own, _ = value_of(lobes, k, np.int64(j), wi, wo, True)
+        if not own > 0.0:
+            continue
+        by_light, _, _ = value_of(lobes, k, np.int64(j), wi, wo, False)
+        ratio = of_light / max(own, of_lobes)
+        weight = 1.0 / (1.0 + ratio * ratio)
+        added = combine(1.0, added, weight if within else 0.0, by_ray)
+        added = combine(1.0, added, -weight, by_light)
+    return added
 
 
 @uncounted

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from pointmr_engine.forward.shading.bump_horizon import irradiance_of_bump
 from pointmr_engine.forward.shading.lamp_points import (
     MANY,
     NARROWER,
@@ -38,6 +39,8 @@ from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
 from pointmr_engine.shading.bsdf.layout import (
     ALPHA_X,
     ALPHA_Y,
+    BUMP_CORRECTION,
+    BUMPED,
     GLASS,
     HAS_TRANSMISSION,
     IOR,
@@ -321,11 +324,16 @@ def shade_world(lobes, incoming, flat, tables, diffuse, glossy, transmission, co
                     total = mean(w)
                     share = np.float64(lobes.data[k, j, SAMPLE]) / total if total > 0.0 else 0.0
                     w = (w[0] * share, w[1] * share, w[2] * share)
-                if base == TRANSLUCENT:
-                    n = (-n[0], -n[1], -n[2])
-                e = world_irradiance(diffuse, n[0], n[1], n[2])
+                sign = -1.0 if base == TRANSLUCENT else 1.0
+                n = (sign * n[0], sign * n[1], sign * n[2])
+                if kind & BUMPED:
+                    outward = row3(lobes.normal, k)
+                    outward = (sign * outward[0], sign * outward[1], sign * outward[2])
+                    softens = base != TRANSLUCENT and lobes.flags[k] & BUMP_CORRECTION != 0
+                    e = irradiance_of_bump(diffuse, n, outward, softens)
+                else:
+                    e = world_irradiance(diffuse, n[0], n[1], n[2])
                 if plane < 1.0:
-                    sign = -1.0 if base == TRANSLUCENT else 1.0
                     f = world_irradiance(diffuse, sign * wi[0], sign * wi[1], sign * wi[2])
                     e = (
                         f[0] + plane * (e[0] - f[0]),
