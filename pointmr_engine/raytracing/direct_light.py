@@ -128,7 +128,7 @@ def connect(
             continue
         diffuse, matt, glossy, transmission, pdf = evaluate(lobes, k, (-d[0], -d[1], -d[2]), wo)
         if limits.diffuse_by_lights and lights.kind[i] != LAMP and lobes.flags[k] & HAS_TRANSMISSION:
-            by_rays = _sent_through(lobes, k, wo, 0.0 if scattered else lights.pdf[i], pdf)
+            by_rays = _sent_through(lobes, k, wo, 0.0 if scattered else lights.anywhere[i], pdf)
             diffuse = combine(1.0, diffuse, 1.0, by_rays)
         seen = lights.visibility[i]
         f0, f1, f2 = 0.0, 0.0, 0.0
@@ -138,7 +138,7 @@ def connect(
             f0, f1, f2 = f0 + glossy[0], f1 + glossy[1], f2 + glossy[2]
         if seen & TRANSMISSION:
             f0, f1, f2 = f0 + transmission[0], f1 + transmission[1], f2 + transmission[2]
-        weight = 1.0 / lights.pdf[i]
+        weight = 1.0 / (lights.pdf[i] * lights.times[i])
         if lights.mis[i] and not (limits.diffuse_by_lights and only_diffuse(lobes.count, lobes.kind, k)):
             ratio = pdf / lights.pdf[i]
             weight /= 1.0 + ratio * ratio

@@ -301,17 +301,31 @@ def _cosine_sample(nx, ny, nz, transmissive, u1, u2):
 
 
 @uncounted
+def _texel_density(world, dx, dy, dz):
+    width = world.columns.shape[1] - 1
+    row = _row_of(world.edges, dz)
+    column = min(width - 1, max(0, int((math.atan2(dy, dx) + math.pi) * (width / (2.0 * math.pi)))))
+    return _map_density(world, row, column)
+
+
+@uncounted
+def density_by_texels(world, dx, dy, dz):
+    """Density per solid angle with which the world's image and its sun choose the direction d, whatever they light."""
+    if not world.even < 1.0:
+        return 1.0 / (4.0 * math.pi)
+    density = _texel_density(world, dx, dy, dz) * (1.0 - world.sun[4])
+    if world.sun[4] > 0.0 and _sun_offset(world, dx, dy, dz) <= world.sun[3]:
+        density += world.sun[4] / (2.0 * math.pi * world.sun[3])
+    return density
+
+
+@uncounted
 def world_density(world, nx, ny, nz, transmissive, dx, dy, dz):
     """Density per solid angle with which `sample_world` chooses the direction d."""
     if world.mode == OFF:
         return 0.0
     transmissive = transmissive and world.mode != ABOVE
-    density = 0.0
-    if world.even < 1.0:
-        width = world.columns.shape[1] - 1
-        row = _row_of(world.edges, dz)
-        column = min(width - 1, max(0, int((math.atan2(dy, dx) + math.pi) * (width / (2.0 * math.pi)))))
-        density = _map_density(world, row, column)
+    density = _texel_density(world, dx, dy, dz) if world.even < 1.0 else 0.0
     density += world.even * (_cosine_density(nx, ny, nz, transmissive, dx, dy, dz) - density)
     density *= 1.0 - world.sun[4]
     if world.sun[4] > 0.0 and _sun_offset(world, dx, dy, dz) <= world.sun[3]:

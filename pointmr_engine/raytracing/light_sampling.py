@@ -9,7 +9,7 @@ import numpy as np
 
 from pointmr_engine.numerics.jit import uncounted
 from pointmr_engine.raytracing.emitters import Emitters, emitter_density, find_emitter, sample_emitter
-from pointmr_engine.raytracing.environment import WorldMap, sample_world, world_density
+from pointmr_engine.raytracing.environment import WorldMap, density_by_texels, sample_world, world_density
 from pointmr_engine.raytracing.lamps import Lamps, intersect_lamp, lamp_pdf_scale, sample_lamp
 from pointmr_engine.raytracing.light_tree import choose_light, light_probability
 from pointmr_engine.raytracing.light_tree_nodes import TRIANGLE as TRIANGLE_NODE
@@ -23,7 +23,7 @@ NONE, LAMP, TRIANGLE, WORLD = 0, 1, 2, 3
 class LightSamples(NamedTuple):
     """One chosen light for each of N points. All but `kind` is undefined where kind is NONE (nothing lights the point).
 
-    The light adds f(wi, direction) |cos| * radiance / pdf * (mis ? power_heuristic(pdf, bsdf_pdf) : 1), where
+    The light adds f(wi, direction) |cos| * radiance / (pdf * times) * (mis ? power_heuristic(pdf, bsdf_pdf) : 1), where
     the lobes that `visibility` names are f. Shadow rays run from t_min to `distance` less a little.
     """
 
@@ -45,6 +45,10 @@ class LightSamples(NamedTuple):
     v: np.ndarray  # (N,) float32, barycentric weight of vertex 2
     # (N,) bool: Cycles does not sample this light: rays to it stand for those that lobes send
     scattered: np.ndarray
+    # (N,) float64: samples of the point that ask for the same light, each of which stands for a part of it
+    times: np.ndarray
+    # (N,) float64: pdf as it would be if it did not go by the surface that is lit (environment.WorldMap.even)
+    anywhere: np.ndarray
 
 
 def allocate_light_samples(n: int) -> LightSamples:
@@ -65,6 +69,8 @@ def allocate_light_samples(n: int) -> LightSamples:
         np.zeros(n, np.float32),
         np.zeros(n, np.float32),
         np.zeros(n, np.bool_),
+        np.ones(n),
+        np.zeros(n),
     )
 
 
@@ -122,6 +128,7 @@ def _place(out, i, dx, dy, dz, t, pdf):
     out.pdf[i] = pdf
     out.cast_shadow[i] = True
     out.mis[i] = True
+    out.times[i], out.anywhere[i] = 1.0, pdf
     return True
 
 
@@ -176,8 +183,11 @@ def sample_worlds(world, visibility, normal, transmissive, u, out):
             continue
         nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
         dx, dy, dz, pdf = sample_world(world, nx, ny, nz, transmissive[i], u[i, 1], u[i, 2])
+        chance = out.pdf[i]
         if _place(out, i, dx, dy, dz, math.inf, pdf):
             out.visibility[i] = visibility
+            if world.even > 0.0:
+                out.anywhere[i] = chance * density_by_texels(world, dx, dy, dz)
 
 
 @uncounted

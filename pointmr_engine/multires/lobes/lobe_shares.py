@@ -37,6 +37,28 @@ from pointmr_engine.shading.bsdf.vector import dot, load3, row3
 BENT = 4.0  # squared roughnesses in the variance of normals up to which a lobe is a mirror that bends
 
 
+@uncounted
+def look_where_lobes_do(lobes, rows, count, normal, transmissive):
+    """Let light samples of points rows[0..count] look where all that reflects does, as far as that is one half space.
+
+    normal (N, 3), transmissive (N,): what they look along, and whether behind it, too. Of diffuse lobes of one bent
+    normal it becomes that normal; of translucent ones, its other side.
+    """
+    for i in range(count):
+        k, side, x, y, z = np.int64(rows[i]), 0.0, 0.0, 0.0, 0.0
+        for j in range(np.int64(lobes.count[k])):
+            base = lobes.kind[k, j] & KIND_MASK
+            own = (-1.0 if base == TRANSLUCENT else 1.0) if base <= TRANSLUCENT else 0.0
+            n = load3(lobes.data, k, np.int64(j), NORMAL)
+            if j == 0:
+                side, x, y, z = own, n[0], n[1], n[2]
+            elif own != side or n[0] != x or n[1] != y or n[2] != z:
+                side = 0.0
+        if side != 0.0:
+            normal[i, 0], normal[i, 1], normal[i, 2] = side * x, side * y, side * z
+            transmissive[i] = False
+
+
 @device
 def mean_roughness(lobes, k, j):
     """Mean roughness of lobe j of point k."""

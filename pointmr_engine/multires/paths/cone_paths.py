@@ -173,9 +173,9 @@ class ConePaths(WideLamps):
         chosen.mis[:] = False
         # what is asked several times counts once
         if turn == (WORLD, 0):
-            chosen.pdf[:] *= self.asked[self.lit_rows[:m]]
+            chosen.times[:] = self.asked[self.lit_rows[:m]]
         else:
-            chosen.pdf[:] *= self.stage.lights.turns.count(turn)
+            chosen.times[:] = self.stage.lights.turns.count(turn)
         chosen.visibility[chosen.kind == WORLD] &= DIFFUSE
         if turn is None and len(self.stage.lights.arrays.emitters.path):
             self._leave_insides(m, chosen)
@@ -214,8 +214,7 @@ class ConePaths(WideLamps):
 
     def _own_pdf(self, m: int, chosen) -> np.ndarray:
         """(m,) densities of samples against those of lobes: of emitters as `_emission` asks for them."""
-        times = max(self.stage.lights.turns.count(None), 1)  # lobes know of one sample
-        pdf = np.where(chosen.kind == LAMP, chosen.pdf / times, 0.0)
+        pdf = np.where(chosen.kind == LAMP, chosen.pdf, 0.0)
         found = np.flatnonzero(chosen.kind == TRIANGLE)
         if len(found):
             pdf[found] = self.strong_stage.lights.emitter_pdf(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.multires.lobes.lobe_cones import WITHIN_LOBE
+from pointmr_engine.multires.lobes.lobe_shares import look_where_lobes_do
 from pointmr_engine.multires.paths.shadow_edges import EdgePaths
 from pointmr_engine.multires.sharing.light_sharing import OF_WORLD
 from pointmr_engine.multires.sharing.shared_light import BOUNCED, REFLECTED, REFRACTED, SharedLight
@@ -60,6 +61,11 @@ class SharingPaths(EdgePaths):
         super().receive(first, base, count)
         if self.shared_light.copies:
             self.shared_light.take_lobes(self.every, first, base, count)
+
+    def choose_points(self, now, n: int, alive, bounce: int) -> int:
+        m = super().choose_points(now, n, alive, bounce)
+        look_where_lobes_do(self.lobes, self.lit_rows, np.int64(m), self.lit_normal, self.lit_transmissive)
+        return m
 
     def _look_at_light(self, now, m: int, turn) -> None:
         if turn == (WORLD, 0):

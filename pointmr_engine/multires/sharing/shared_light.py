@@ -114,7 +114,7 @@ class SharedLight:
         Without knowing how large each light is: the solid angle that a sample stands for is that of a light, over the
         chance that the light was chosen, which the number of samples makes up for.
         """
-        width = np.sqrt(1.0 / (2.0 * math.pi * np.maximum(chosen.pdf, 1e-12)))
+        width = np.sqrt(1.0 / (2.0 * math.pi * np.maximum(chosen.pdf * chosen.times, 1e-12)))
         lamps = np.flatnonzero(chosen.kind == LAMP)
         width[lamps[~self.mis[chosen.index[lamps]]]] = 0.0
         self.lamp_width[rows] = np.clip(width, POINT_WIDTH, 1.0)
