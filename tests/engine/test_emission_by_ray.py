@@ -78,12 +78,11 @@ def test_what_is_left_to_chance_is_hidden_from_scattered_rays(missing):
     assert ours == pytest.approx(exact, rel=0.05, abs=1e-3)
 
 
-@pytest.mark.parametrize("cones", [1, 4])
-def test_a_closed_surface_is_not_lit_by_its_inside(cones):
-    """Pieces of a ball stand for points that lie below others of them, from where its inside would be seen."""
+def shell_that_shines_within(front: str) -> tuple[Mesh, Scene]:
+    """A ball of a diffuse shader of that kind, seen from outside; its inside is a lamp."""
     nodes = {
         "side": Node("geometry"),
-        "front": Node("diffuse", {"color": (0.8, 0.8, 0.8)}),
+        "front": Node(front, {"color": (0.8, 0.8, 0.8)}),
         "back": Node("emission", {"strength": 4.0}),
         "both": Node("mix_shader", {
             "fac": Link("side", "backfacing"), "shader": Link("front", "bsdf"), "shader_b": Link("back", "emission"),
@@ -92,8 +91,22 @@ def test_a_closed_surface_is_not_lit_by_its_inside(cones):
     shell = Material("shell", Graph(nodes, surface=Link("both", "shader")))
     positions, triangles = sphere(160, 320)
     mesh = Mesh("ball", positions, triangles, normals=positions.astype(np.float32), materials=(shell,))
-    whole = Scene(Group("root", [mesh]), from_above(5.0), [], DARK)
-    cache = Cache()
+    return mesh, Scene(Group("root", [mesh]), from_above(5.0), [], DARK)
+
+
+def test_a_closed_paper_surface_is_lit_by_its_inside():
+    _, whole = shell_that_shines_within("translucent")
+    cache, middle = Cache(), np.s_[12:24, 16:32]
+    exact = image(whole, cache, method="distributed", samples=64)[middle].mean()
+    assert exact == pytest.approx(0.8 * 4.0, rel=0.02)
+    assert image(whole, cache, cones=4)[middle].mean() == pytest.approx(exact, rel=0.06)
+
+
+@pytest.mark.parametrize("cones", [1, 4])
+def test_a_closed_surface_is_not_lit_by_its_inside(cones):
+    """Pieces of a ball stand for points that lie below others of them, from where its inside would be seen."""
+    mesh, whole = shell_that_shines_within("diffuse")
+    cache, triangles = Cache(), mesh.triangles
     exact = image(whole, cache, method="distributed", samples=64)
     assert image(whole, cache, cones=cones).mean() < 2.0 * exact.mean()  # a little, by smooth normals
     mesh.triangles, mesh.normals = triangles[:, ::-1].copy(), -mesh.normals

@@ -9,9 +9,8 @@ from pointmr_engine.numerics.jit import device
 from pointmr_engine.shading.bsdf.vector import dot
 
 LEVEL = 0.999  # cosine of a lean from which hardly anything is lost
-SOFTENED = (
-    0.45  # of what an even world sends, that the terminator's softening takes from a normal that lies flat
-)
+# of what an even world sends, that the terminator's softening takes from a normal that lies flat
+SOFTENED = 0.45
 
 
 @device
@@ -24,7 +23,7 @@ def irradiance_of_bump(maps, normal, outward, softens):
     """
     e = world_irradiance(maps, normal[0], normal[1], normal[2])
     cosine = dot(normal, outward)
-    if cosine > LEVEL:
+    if abs(cosine) > LEVEL:
         return e
     x = normal[0] - cosine * outward[0]
     y = normal[1] - cosine * outward[1]

@@ -38,25 +38,30 @@ BENT = 4.0  # squared roughnesses in the variance of normals up to which a lobe 
 
 
 @uncounted
-def look_where_lobes_do(lobes, rows, count, normal, transmissive):
-    """Let light samples of points rows[0..count] look where all that reflects does, as far as that is one half space.
+def look_where_lobes_do(lobes, rows, count, diffuse, normal, transmissive):
+    """Let light samples of points rows[0..count] look where their diffuse lobes do, if all have one normal, however
+    bumps bend it.
 
-    normal (N, 3), transmissive (N,): what they look along, and whether behind it, too. Of diffuse lobes of one bent
-    normal it becomes that normal; of translucent ones, its other side.
+    diffuse: no others receive these samples' light; else, points that have others look as they did. normal (N, 3),
+    transmissive (N,): what they look along, and whether behind it, too; where nothing is reflected, behind it alone.
     """
     for i in range(count):
-        k, side, x, y, z = np.int64(rows[i]), 0.0, 0.0, 0.0, 0.0
+        k, first, before, behind, alike = np.int64(rows[i]), np.int64(-1), False, False, True
         for j in range(np.int64(lobes.count[k])):
             base = lobes.kind[k, j] & KIND_MASK
-            own = (-1.0 if base == TRANSLUCENT else 1.0) if base <= TRANSLUCENT else 0.0
-            n = load3(lobes.data, k, np.int64(j), NORMAL)
-            if j == 0:
-                side, x, y, z = own, n[0], n[1], n[2]
-            elif own != side or n[0] != x or n[1] != y or n[2] != z:
-                side = 0.0
-        if side != 0.0:
-            normal[i, 0], normal[i, 1], normal[i, 2] = side * x, side * y, side * z
-            transmissive[i] = False
+            if base > TRANSLUCENT:
+                alike = alike and diffuse
+                continue
+            if first < 0:
+                first = np.int64(j)
+            before, behind = before or base != TRANSLUCENT, behind or base == TRANSLUCENT
+            for a in range(3):
+                alike = alike and lobes.data[k, j, NORMAL + a] == lobes.data[k, first, NORMAL + a]
+        if alike and first >= 0:
+            side = 1.0 if before else -1.0
+            for a in range(3):
+                normal[i, a] = side * lobes.data[k, first, NORMAL + a]
+            transmissive[i] = before and behind
 
 
 @device

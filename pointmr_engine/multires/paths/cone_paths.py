@@ -44,6 +44,7 @@ from pointmr_engine.raytracing.lights import LAMP, TRIANGLE, WORLD
 from pointmr_engine.raytracing.path_arrays import NO_LAMPS, SEES_LAMPS, allocate_paths
 from pointmr_engine.raytracing.surface import frames
 from pointmr_engine.scene.group import DIFFUSE, GLOSSY, TRANSMISSION
+from pointmr_engine.shading.bsdf.layout import HAS_TRANSMISSION
 from pointmr_engine.shading.footprint_mean import EVERY, POINT, SOME
 
 ROOM = 6 * BATCH  # paths at once: fragments of a tile, and what the cones of each see
@@ -186,7 +187,8 @@ class ConePaths(WideLamps):
         others of them, from where it would be seen.
         """
         lights = self.stage.lights
-        found = np.flatnonzero((chosen.kind == TRIANGLE) & ~self.lit_transmissive[:m])
+        opaque = self.lobes.flags[self.lit_rows[:m]] & HAS_TRANSMISSION == 0
+        found = np.flatnonzero((chosen.kind == TRIANGLE) & opaque)
         rows, index = self.lit_rows[found], chosen.index[found]
         outside = lights.arrays.emitters.outside[index]
         own = (outside != 0.0) & (self.frames.backfacing[rows] == (outside < 0.0))

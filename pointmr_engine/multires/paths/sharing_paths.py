@@ -64,12 +64,19 @@ class SharingPaths(EdgePaths):
 
     def choose_points(self, now, n: int, alive, bounce: int) -> int:
         m = super().choose_points(now, n, alive, bounce)
-        look_where_lobes_do(self.lobes, self.lit_rows, np.int64(m), self.lit_normal, self.lit_transmissive)
+        self._look_where_lobes_do(m, False)
         return m
+
+    def _look_where_lobes_do(self, m: int, diffuse: bool) -> None:
+        look_where_lobes_do(
+            self.lobes, self.lit_rows, np.int64(m), diffuse, self.lit_normal, self.lit_transmissive
+        )
 
     def _look_at_light(self, now, m: int, turn) -> None:
         if turn == (WORLD, 0):
             lit = self.lit_rows, self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u
+            before = [a[:m].copy() for a in lit]
+            self._look_where_lobes_do(m, True)
             kept = [a[:m].copy() for a in lit]
             if self.small is None:  # behind first surfaces
                 self.asked[:] = self.repeats
@@ -79,7 +86,7 @@ class SharingPaths(EdgePaths):
                 self._look_at_world(now, lit, kept, self.asked[kept[0]])
             else:
                 self._look_as_worth(now, lit, kept)
-            for now_, then in zip(lit, kept, strict=True):
+            for now_, then in zip(lit, before, strict=True):
                 now_[:m] = then
         elif turn is None and self.small is not None:
             self._look_at_many(now, m)
