@@ -74,6 +74,27 @@ def test_two_transparencies_brighten_what_lies_behind_them(second, cones):
     np.testing.assert_allclose(ours.mean((0, 1)), exact.mean((0, 1)), rtol=0.02)
 
 
+@pytest.mark.parametrize("size", [0.3, 0.05])
+@pytest.mark.parametrize("cones", [1, 4])
+def test_what_brightens_in_places_is_drawn_all_over(size, cones):
+    """Waves let through 0.6 to 1.6 of what arrives, and reflect. Between places that brighten, drawn whole, others were
+    drawn at an eighth: fragments of both took the weight of either, and the mean was up to a tenth off."""
+    nodes = {
+        "place": Node("texture_coordinate"),
+        "wave": Node("wave_texture", {"vector": Link("place", "object"), "scale": 0.3 / size}),
+        "more": Node("transparent", {"color": Link("wave", "color")}),
+        "shine": Node("add_shader", {"shader": Link("both", "shader"), "shader_b": Link("more", "bsdf")}),
+    }
+    material = added(1.0, "diffuse", (0.6, 0.6, 0.6), **nodes)
+    material.graph.surface = Link("shine", "shader")
+    cache, whole = Cache(), scene(material)
+    exact = image(whole, cache, method="distributed", samples=128)
+    ours = image(whole, cache, cones=cones)
+    np.testing.assert_allclose(ours[MIDDLE].mean((0, 1)), exact[MIDDLE].mean((0, 1)), rtol=0.06)
+    assert np.abs(ours - exact).mean() < 0.04 * exact.mean()
+    assert ours.max() < 1.3 * exact.max()
+
+
 @pytest.mark.parametrize("strength", [0.02, 0.3, 5.0])
 def test_it_shines_as_much_however_strong(strength):
     whole = scene(added(strength), DARK, floor=False)

@@ -26,7 +26,7 @@ from pointmr_engine.forward.drawing.cut_out_cover import (
 )
 from pointmr_engine.forward.drawing.draw import piece_to_tile
 from pointmr_engine.forward.drawing.near_clip import clip, corners_of_piece
-from pointmr_engine.forward.drawing.part_opacity import PartOpacity
+from pointmr_engine.forward.drawing.part_opacity import BRIGHTENED, PartOpacity
 from pointmr_engine.forward.drawing.targets import put_cut_out
 from pointmr_engine.hierarchy.geometry import slot_materials, triangle_materials
 from pointmr_engine.numerics.jit import device
@@ -39,6 +39,7 @@ NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose hol
 # so many samples along an edge tell which triangles are the same all over, which share one row; where very many
 # differ, no more than SAMPLES allow
 FIRST = 24
+_BRIGHTENED = np.uint8(round((1.0 - BRIGHTENED) * 255.0))
 FEWEST = 3
 
 
@@ -167,7 +168,8 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
     """(2, n, side, side) uint8: the opacity of triangles (n,), at the places of the rows (n,) of CutOuts.
 
     Cells that lie beyond the longest edge, which nobody asks for, have what they are turned into. Beside opaque cells,
-    which shine for the holes between them, too, what is added to holes is left out.
+    which shine for the holes between them, too, what is added to holes is left out. For rays, triangles that brighten
+    what passes anywhere are drawn all over, for a fragment weighs all that it is seen of alike.
     """
     n = len(triangles)
     u, v = lattice(side, rows)
@@ -177,7 +179,9 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
     result = np.zeros((found.shape[1], n, side, side), np.uint8)
     result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(len(result), n, -1)
     if len(result) > 2:
+        brightens = (result[3] == _BRIGHTENED).any((1, 2))
         result = np.where(_beside(result[:2] >= OPAQUE), result[:2], result[2:])
+        result[1, brightens] = _BRIGHTENED
     result[:, :, ~own] = result[:, :, ::-1, ::-1][:, :, ~own]
     return result
 
