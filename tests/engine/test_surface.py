@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from instanced import accelerate, cast, nest, random_mesh, random_transforms, sphere
 
@@ -289,6 +289,7 @@ def test_moved_points_stay_in_the_plane_and_move_everything(seed):
 
 @settings(max_examples=10)
 @given(seeds)
+@example(446173644)  # a point 0.01 from the viewer, in a mesh of 16
 def test_points_anywhere_are_those_of_hits(seed):
     rng = np.random.default_rng(seed)
     mesh = random_mesh(rng, 40)
@@ -314,7 +315,9 @@ def test_points_anywhere_are_those_of_hits(seed):
     np.testing.assert_array_equal(free.backfacing, points.backfacing)
     np.testing.assert_array_equal(free.normal, points.normal)
     np.testing.assert_array_equal(free.uvs["Map"], points.uvs["Map"])
-    np.testing.assert_allclose(free.incoming, points.incoming, atol=1e-5)
+    # weights in float32 place a point as well as its triangle is large: seen from near by, directions differ by more
+    length, large = points.ray_length[:, None].astype(float), np.abs(points.position).max()
+    np.testing.assert_allclose(free.incoming * length, points.incoming * length, atol=1e-6 * large, rtol=0)
     np.testing.assert_allclose(free.ray_length, points.ray_length, rtol=1e-4)
     for name, value in vars(points).items():
         assert (value is None) == (getattr(free, name) is None), name
