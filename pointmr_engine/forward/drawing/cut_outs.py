@@ -179,8 +179,8 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
     result = np.zeros((found.shape[1], n, side, side), np.uint8)
     result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(len(result), n, -1)
     if len(result) > 2:
-        brightens = (result[3] == _BRIGHTENED).any((1, 2))
-        result = np.where(_beside(result[:2] >= OPAQUE), result[:2], result[2:])
+        brightens = (result[4] > 0).any((1, 2))
+        result = np.where(_beside(result[:2] >= OPAQUE), result[:2], result[2:4])
         result[1, brightens] = _BRIGHTENED
     result[:, :, ~own] = result[:, :, ::-1, ::-1][:, :, ~own]
     return result

@@ -48,10 +48,11 @@ class PartOpacity:
         """(n, 2) opacity, 0..1, of points of parts' triangles (n,) by weights u, v (n,): mean over placements and
         channels, and the most that is seen from anywhere, of the channel that is blocked most.
 
-        part: of all points, or (n,) of each. adds: (n, 4): the same, and both with what the program adds.
+        part: of all points, or (n,) of each. adds: (n, 5): the same, both with what the program adds, and 1 where
+        anybody sees what passes brightened, else 0.
         """
         program = self.programs[material]
-        result = np.empty((len(triangles), 4 if adds else 2))
+        result = np.empty((len(triangles), 5 if adds else 2))
         alone = not program.placed or np.ndim(part) == 0
 
         def fill(own, rows) -> None:
@@ -73,13 +74,16 @@ class PartOpacity:
         n = len(triangles)
         needs = program.passed_needs if adds else program.transparency_needs
         mean, least, added, looks = np.zeros(n), np.ones(n), np.zeros(n, np.float32), 0
+        brightens = np.zeros((n, 1), np.bool_)
         known = not program.unforeseen and (
             not program.placed or len(self._placed(part).part) <= MOST_PLACEMENTS
         )
         for view, points in self._seen(program, part, triangles, u, v, needs):
             passed, shown = program.passed_and_shown(points) if adds else (program.transparency(points), None)
             clear = np.clip(passed, 0.0, 1.0)
-            least = np.minimum(least, np.where(largest(passed) > BRIGHTENS, BRIGHTENED, -largest(-clear)))
+            more = largest(passed) > BRIGHTENS
+            brightens[more] = True
+            least = np.minimum(least, np.where(more, BRIGHTENED, -largest(-clear)))
             if view == VIEWS[0]:
                 mean += (clear[:, 0] + clear[:, 1] + clear[:, 2]) / 3.0
                 looks += 1
@@ -91,7 +95,7 @@ class PartOpacity:
         if not adds:
             return found
         shares = np.stack((np.full(n, LEAST_ADDED), np.clip(added, LEAST_ADDED, MOST_ADDED)), 1)
-        return np.concatenate([found, np.maximum(found, shares * (added > 0.0)[:, None])], 1)
+        return np.concatenate([found, np.maximum(found, shares * (added > 0.0)[:, None]), brightens], 1)
 
     def looks(self, material: int, part: int) -> int:
         """How often `opacity` looks at each point: from several sides, where the part is placed."""
