@@ -86,15 +86,19 @@ def test_tilted_panes_show_what_rays_see(kind, tilt, view):
         assert np.abs(image(scene, size=(24, 18), cones=cones) - exact).max() < 0.02
 
 
+def cloth(kind: str, tilt: float, even: bool = True) -> Scene:
+    """Seen from straight above, under a white world or all_directions."""
+    eye = Camera(look((0.0, 0.0, 6.0), (0.0, 0.0, 0.0)))
+    world = uniform_world((1.0, 1.0, 1.0)) if even else all_directions()
+    return Scene(Group("root", [quad(40.0, material=tilted_pane(kind, tilt))]), eye, [], world)
+
+
 @pytest.mark.parametrize("tilt", [-0.6, 0.4])
 @pytest.mark.parametrize("even", [True, False])
 def test_light_through_tilted_cloth_is_what_rays_find(even, tilt):
     """Of a cosine lobe, (1 + cos) / 2 goes through the surface: softened as for samples of lights, it was up to a
-    quarter too dark."""
-    cloth = tilted_pane("translucent", tilt)
-    world = uniform_world((1.0, 1.0, 1.0)) if even else all_directions()
-    eye = Camera(look((0.0, 0.0, 6.0), (0.0, 0.0, 0.0)))
-    scene = Scene(Group("root", [quad(40.0, material=cloth)]), eye, [], world)
+    sixth too dark."""
+    scene = cloth("translucent", tilt, even)
     exact = image(scene, size=(48, 36), method="distributed", samples=64).mean((0, 1))
     if even:
         assert exact == pytest.approx(0.5 + 0.5 * math.cos(tilt), rel=0.01)
@@ -105,10 +109,7 @@ def test_light_through_tilted_cloth_is_what_rays_find(even, tilt):
 @pytest.mark.parametrize(("tilt", "noise"), [(0.0, 1e-6), (0.5, 0.06)])
 def test_light_that_cloth_lets_through_is_looked_for_behind_it(tilt, noise):
     """Looked for by the cosine to its surface, on both sides of it, an even world's light varied by 13 and 22 %."""
-    eye = Camera(look((0.0, 0.0, 6.0), (0.0, 0.0, 0.0)))
-    world = uniform_world((1.0, 1.0, 1.0))
-    scene = Scene(Group("root", [quad(40.0, material=tilted_pane("translucent", tilt))]), eye, [], world)
-    light = image(scene, size=(48, 36))[..., 0]
+    light = image(cloth("translucent", tilt), size=(48, 36))[..., 0]
     assert light.std() < noise * light.mean()
 
 
@@ -117,9 +118,7 @@ def test_light_that_cloth_lets_through_is_looked_for_behind_it(tilt, noise):
 @pytest.mark.parametrize("even", [True, False])
 def test_forward_shows_nothing_of_the_world_below_tilted_cloth(even, tilt, kind):
     """It was up to 1.24 times as bright as it is."""
-    world = uniform_world((1.0, 1.0, 1.0)) if even else all_directions()
-    eye = Camera(look((0.0, 0.0, 6.0), (0.0, 0.0, 0.0)))
-    scene = Scene(Group("root", [quad(40.0, material=tilted_pane(kind, tilt))]), eye, [], world)
+    scene = cloth(kind, tilt, even)
     exact = image(scene, size=(48, 36), method="distributed", samples=64).mean((0, 1))
     ours = image(scene, size=(48, 36), method="forward").mean((0, 1))
     assert ours == pytest.approx(exact, abs=0.03)

@@ -39,8 +39,8 @@ NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose hol
 # so many samples along an edge tell which triangles are the same all over, which share one row; where very many
 # differ, no more than SAMPLES allow
 FIRST = 24
-_BRIGHTENED = np.uint8(round((1.0 - BRIGHTENED) * 255.0))
 FEWEST = 3
+_BRIGHTENED = np.uint8(round((1.0 - BRIGHTENED) * 255.0))  # opacity of what brightens what passes
 
 
 class CutOuts(NamedTuple):

@@ -64,20 +64,18 @@ class SharingPaths(EdgePaths):
 
     def choose_points(self, now, n: int, alive, bounce: int) -> int:
         m = super().choose_points(now, n, alive, bounce)
-        self._look_where_lobes_do(m, False)
-        return m
-
-    def _look_where_lobes_do(self, m: int, diffuse: bool) -> None:
         look_where_lobes_do(
-            self.lobes, self.lit_rows, np.int64(m), diffuse, self.lit_normal, self.lit_transmissive
+            self.lobes, self.lit_rows, np.int64(m), False, self.lit_normal, self.lit_transmissive
         )
+        return m
 
     def _look_at_light(self, now, m: int, turn) -> None:
         if turn == (WORLD, 0):
             lit = self.lit_rows, self.lit_position, self.lit_normal, self.lit_transmissive, self.lit_u
             before = [a[:m].copy() for a in lit]
-            self._look_where_lobes_do(m, True)
-            kept = [a[:m].copy() for a in lit]
+            rows, position, normal, transmissive, u = before
+            kept = rows, position, normal.copy(), transmissive.copy(), u
+            look_where_lobes_do(self.lobes, rows, np.int64(m), True, *kept[2:4])
             if self.small is None:  # behind first surfaces
                 self.asked[:] = self.repeats
                 if self.repeats > 1:
