@@ -138,8 +138,8 @@ class Workspace:
         self._fill(hierarchy, count)
         self.closed += close_leaks(
             self.target.ids, np.int64(self.width), np.int64(self.height), self.image.view.perspective,
-            np.float64(self.image.pixel / self.image.subpixels), self.fragments, hierarchy.cut_outs,
-            np.int64(count), self.leaks,
+            np.float64(self.image.pixel / self.image.subpixels), self.fragments, self.image.sampler.geometry,
+            hierarchy.cut_outs, np.int64(count), self.leaks,
         )  # fmt: skip
         return count
 

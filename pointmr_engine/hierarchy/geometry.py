@@ -17,6 +17,7 @@ from pointmr_engine.scene.material import Material
 from pointmr_engine.scene.mesh import Mesh
 from pointmr_engine.scene.scene import Scene
 
+UNKNOWN = -1  # in Geometry.closed
 LARGEST = 1e12  # metres; beyond it single precision products overflow, and a vertex counts as not finite
 
 
@@ -108,6 +109,12 @@ class Geometry:
     kept: list[np.ndarray] = field(default_factory=list)  # arrays that the tables borrow
     layers: dict = field(default_factory=dict)  # attribute layers made so far (hierarchy.layers)
     lock: threading.Lock = field(default_factory=threading.Lock)
+    closed: np.ndarray | None = None  # (P,) int8: Shape.closed of each part, UNKNOWN until something asks
+
+    def find_closed(self, part: int) -> None:
+        """Note whether a part is closed."""
+        with self.lock:
+            self.closed[part] = self.shapes[self.tables.shape[part]].closed
 
 
 def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
@@ -142,7 +149,7 @@ def compile_geometry(scene: Scene, needs: Iterable[str] = ()) -> Geometry:
                 geometry.batches.append(batch)
             rows.append(batch_of[id(batch)])
         geometry.group_batches.append(rows)
-    geometry.tables = _part_tables(geometry)
+    _tabulate(geometry)
     geometry.instances = _batch_tables(geometry)
     geometry.unique_triangles = sum(len(s.triangles) for s in geometry.shapes)
     _, geometry.instanced_triangles, geometry.depth = count_triangles(scene.root)
@@ -171,8 +178,14 @@ def triangle_materials(geometry: Geometry, part: int) -> np.ndarray:
 def with_parts(geometry: Geometry, parts: list[Mesh]) -> Geometry:
     """The same scene with other meshes in the places of its parts, of as many triangles and the same materials."""
     made = replace(geometry, parts=parts, shapes=[], materials=[], kept=list(geometry.kept), layers={})
-    made.tables = _part_tables(made)
+    _tabulate(made)
     return made
+
+
+def _tabulate(geometry: Geometry) -> None:
+    """Tables of the parts, of which nobody knows yet whether they are closed."""
+    geometry.tables = _part_tables(geometry)
+    geometry.closed = np.full(len(geometry.parts), UNKNOWN, np.int8)
 
 
 def _identity(array: np.ndarray) -> tuple:

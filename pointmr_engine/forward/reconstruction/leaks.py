@@ -2,7 +2,8 @@
 
 Surfels stand for what is smaller than their spacing, and do not meet what is drawn beside them edge to edge. What turns
 its back on the eye is taken for such a gap where it is seen between two places of one surface, a subpixel or two apart,
-and at a body's rim where a few subpixels of it touch the near side.
+and at a body's rim where a few subpixels of it touch the near side. Only what bounds bodies leaks: of leaves and sheets
+either side may be seen.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 
 from pointmr_engine.forward.drawing.cut_out_cover import cut_out_of
 from pointmr_engine.forward.reconstruction.fragments import Fragments, is_clump
+from pointmr_engine.hierarchy.geometry import UNKNOWN, Geometry
 from pointmr_engine.numerics.jit import device, uncounted
 
 REACH = 2  # subpixels: how far from a leak the surface is looked for
@@ -93,8 +95,9 @@ def _surface_about(ids, width, height, x, y, perspective, subpixel, f: Fragments
     return _rim_beside(ids, width, height, x, y, f, k, leaks, far)
 
 
-@uncounted
-def close_leaks(ids, width, height, perspective, subpixel, fragments: Fragments, cut_outs, count, leaks):
+def close_leaks(
+    ids, width, height, perspective, subpixel, fragments: Fragments, geometry: Geometry, cut_outs, count, leaks
+) -> int:
     """Let the surface show that fragments 0..count of a tile leak through; returns how many subpixels did.
 
     ids as fragments.find_fragments left them. Fragments leak as a whole or not at all, and nothing shows those that
@@ -102,11 +105,30 @@ def close_leaks(ids, width, height, perspective, subpixel, fragments: Fragments,
     close leaks. subpixel: its width at depth 1 (perspective) or in metres; leaks (F,) int32 to work in: of those that
     show their backs, in how many subpixels they leak, or STAYS; FRONT for the others.
     """
-    f = fragments
-    for k in range(count):
-        leaks[k] = 0 if _shows_back(f, k, perspective) else FRONT
+    first = np.int64(0)
+    while (first := _may_leak(perspective, fragments, geometry.closed, cut_outs, first, count, leaks)) < count:
+        geometry.find_closed(int(fragments.part[first]))
+    return _close(ids, width, height, perspective, subpixel, fragments, count, leaks)
+
+
+@uncounted
+def _may_leak(perspective, f: Fragments, closed, cut_outs, first, count, leaks):
+    """leaks[first..count] to begin with; returns the fragment of whose part `closed` is UNKNOWN, count: of none."""
+    for k in range(first, count):
+        leaks[k] = FRONT
         if cut_out_of(cut_outs, np.int64(f.part[k]), np.int64(f.triangle[k])) >= 0:
             leaks[k] = STAYS
+        elif _shows_back(f, k, perspective):
+            known = closed[f.part[k]]
+            if known == UNKNOWN:
+                return k
+            leaks[k] = 0 if known else STAYS
+    return count
+
+
+@uncounted
+def _close(ids, width, height, perspective, subpixel, f: Fragments, count, leaks):
+    """See close_leaks."""
     found = np.int64(0)
     for y in range(height):
         for x in range(width):

@@ -174,7 +174,8 @@ class LensTiles(TracedTiles):
         )  # fmt: skip
         self.closed += close_leaks(
             self.part.ids, width, height, seen.view.perspective,
-            np.float64(image.pixel * v / image.subpixels), f, hierarchy.cut_outs, np.int64(count), self.leaks,
+            np.float64(image.pixel * v / image.subpixels), f, image.sampler.geometry, hierarchy.cut_outs,
+            np.int64(count), self.leaks,
         )  # fmt: skip
         self.open_in_view[:] = 0
         turns = self.turns[first : first + count]
