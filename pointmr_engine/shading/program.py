@@ -191,7 +191,7 @@ class Program:
         normal_reads, normal_needs, rough_reads...: the same for `normal_values`, `rough_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
-    masked: colours of its images count by their alpha, so that holes in them have none.
+    masked: colours of its images count by their alpha, so that holes in them have none, and tell nothing of what passes.
     opaque: light never passes straight through; turns: how much of it does depends on where it is seen from (`faces`;
     and not only on which side: `turns_with_view`), on the ray's way there (`unforeseen`), or on where the part is
     placed (`placed`), or more may be sent besides than what does not pass (`adds`).
@@ -263,7 +263,7 @@ class Program:
         self.turns_with_view: bool = "incoming" in read
         self.faces: bool = self.turns_with_view or "backfacing" in read
         self.turns: bool = self.faces or self.unforeseen or self.placed or self.adds
-        self.masked: bool = _masked(self._plan.steps)
+        self.masked: bool = _masked(self._plan.steps) and not _has_colours(self._transparency_plan.steps)
         self.emissive: bool = bool(emission)
         self.constant_emission: tuple[float, float, float] | None = None
         if all(isinstance(s, Constant) for s in emission):
@@ -437,6 +437,14 @@ def _masked(steps) -> bool:
     """Program.masked, of the steps of its Plan."""
     return all(
         params.get("unassociate", True) and params.get("texture") is not None and params["texture"].associated
-        for params, wanted in ((s.params, w) for _, s, w in steps if s.type.kind == "image_texture")
-        if "color" in wanted
+        for params in _colours(steps)
     )
+
+
+def _has_colours(steps) -> bool:
+    return any(True for _ in _colours(steps))
+
+
+def _colours(steps):
+    """Parameters of the images of whose colours steps of a Plan make use."""
+    return (s.params for _, s, wanted in steps if s.type.kind == "image_texture" and "color" in wanted)

@@ -24,6 +24,7 @@ from pointmr_engine.shading.program import OF_INSTANCE
 LOOKS = 16  # points of a triangle that are compared with its leader's
 SIDE = 32  # samples along the edges of leaders while they are compared
 TOLERANCE = 0.12  # of opacity
+SHARES = 4  # columns that are compared: outlines that brighten what passes, or do not, tell no triangles apart
 LEADERS = 16  # at most, of triangles that vary alike
 EVEN = 0.02  # difference of opacity over a triangle that is even
 _QUANTUM = 1.0 / 4096  # of texture coordinates
@@ -98,7 +99,7 @@ def _led(triangles: np.ndarray, classes: np.ndarray, opacity: Opacity) -> tuple[
     n = len(triangles)
     rng = np.random.default_rng(n)
     u, v = _into_triangle(*rng.random((2, n, LOOKS)))
-    own = opacity(np.repeat(triangles, LOOKS), u.ravel(), v.ravel()).reshape(n, LOOKS, -1)
+    own = opacity(np.repeat(triangles, LOOKS), u.ravel(), v.ravel())[:, :SHARES].reshape(n, LOOKS, -1)
     i, j = (np.minimum((a * SIDE).astype(np.int64), SIDE - 1) for a in (u, v))
     leader, todo = np.arange(n), np.arange(n)
     for _ in range(LEADERS):
@@ -120,7 +121,8 @@ def _ranges(triangles: np.ndarray, opacity: Opacity) -> tuple[np.ndarray, np.nda
     """(k, SIDE, SIDE, c) least and most of the opacity of triangles in each cell of a lattice and those around it."""
     k = len(triangles)
     u, v = lattice(SIDE, np.arange(k))
-    cells = opacity(np.repeat(triangles, SIDE * SIDE), u.ravel(), v.ravel()).reshape(k, SIDE, SIDE, -1)
+    cells = opacity(np.repeat(triangles, SIDE * SIDE), u.ravel(), v.ravel())
+    cells = cells[:, :SHARES].reshape(k, SIDE, SIDE, -1)
     # cells beyond the longest edge lie in the other half, far away: they take their neighbours' values
     cells[:, ~in_triangle(SIDE)] = np.nan
     padded = np.pad(cells, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=np.nan)

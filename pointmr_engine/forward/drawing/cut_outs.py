@@ -40,6 +40,7 @@ NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose hol
 # differ, no more than SAMPLES allow
 FIRST = 24
 FEWEST = 3
+MUCH = 0.125  # of a triangle's cells: at outlines of leaves, what light passes is often brighter than what hides it
 _BRIGHTENED = np.uint8(round((1.0 - BRIGHTENED) * 255.0))  # opacity of what brightens what passes
 
 
@@ -168,8 +169,9 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
     """(2, n, side, side) uint8: the opacity of triangles (n,), at the places of the rows (n,) of CutOuts.
 
     Cells that lie beyond the longest edge, which nobody asks for, have what they are turned into. Beside opaque cells,
-    which shine for the holes between them, too, what is added to holes is left out. For rays, triangles that brighten
-    what passes anywhere are drawn all over, for a fragment weighs all that it is seen of alike.
+    which shine for the holes between them, too, what is added to holes is left out, and so it is where there is little
+    of it. For rays, triangles that brighten what passes in much of what is drawn are drawn all over, for a fragment
+    weighs all that it is seen of alike.
     """
     n = len(triangles)
     u, v = lattice(side, rows)
@@ -179,8 +181,10 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
     result = np.zeros((found.shape[1], n, side, side), np.uint8)
     result[:, :, own] = np.round(found.T * 255.0).astype(np.uint8).reshape(len(result), n, -1)
     if len(result) > 2:
-        brightens = (result[4] > 0).any((1, 2))
-        result = np.where(_beside(result[:2] >= OPAQUE), result[:2], result[2:4])
+        much = MUCH * own.sum()
+        brightens = (result[4] > 0).sum((1, 2)) > much
+        adds = ((result[3] > result[1]).sum((1, 2)) > much)[None, :, None, None]
+        result = np.where(adds & ~_beside(result[:2] >= OPAQUE), result[2:4], result[:2])
         result[1, brightens] = _BRIGHTENED
     result[:, :, ~own] = result[:, :, ::-1, ::-1][:, :, ~own]
     return result

@@ -49,7 +49,7 @@ class PartOpacity:
         channels, and the most that is seen from anywhere, of the channel that is blocked most.
 
         part: of all points, or (n,) of each. adds: (n, 5): the same, both with what the program adds, and 1 where
-        anybody sees what passes brightened, else 0.
+        anybody sees what passes brightened, else 0; what is blocked there is not BRIGHTENED.
         """
         program = self.programs[material]
         result = np.empty((len(triangles), 5 if adds else 2))
@@ -83,7 +83,8 @@ class PartOpacity:
             clear = np.clip(passed, 0.0, 1.0)
             more = largest(passed) > BRIGHTENS
             brightens[more] = True
-            least = np.minimum(least, np.where(more, BRIGHTENED, -largest(-clear)))
+            passes = -largest(-clear)
+            least = np.minimum(least, passes if program.adds else np.where(more, BRIGHTENED, passes))
             if view == VIEWS[0]:
                 mean += (clear[:, 0] + clear[:, 1] + clear[:, 2]) / 3.0
                 looks += 1

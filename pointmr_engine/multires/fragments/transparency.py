@@ -30,13 +30,12 @@ def _leave_holes(lobes, through, k):
     through (N, 3) float32: what the place lets through by itself. What the footprint lets through besides are holes,
     or less than none: where places differ that are all half clear, the means of what they give are those of the lobes.
     """
-    holes, least = 0.0, 1.0
+    holes, opaque = 0.0, 1.0
     for c in range(3):
         own = min(max(np.float64(through[k, c]), 0.0), 1.0)
         holes += (min(max(np.float64(lobes.transparency[k, c]), 0.0), 1.0) - own) / 3.0
-        least = min(least, own)
+        opaque -= own / 3.0
         lobes.transparency[k, c] = through[k, c]
-    opaque = 1.0 - least
     if opaque < FAINTEST:
         return 1.0
     return opaque / max(opaque - holes, FAINTEST * opaque)
