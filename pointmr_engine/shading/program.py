@@ -191,7 +191,7 @@ class Program:
         normal_reads, normal_needs, rough_reads...: the same for `normal_values`, `rough_values` and `image_values`.
     varying_with: subset of {"surface", "view", "ray", "instance"}; surface_only: nothing beyond "surface".
     leaves: tuple of LeafPlan (kind and what each column varies with).
-    masked: colours of its images count by their alpha, so that holes in them have none, and tell nothing of what passes.
+    masked: colours of its images count by their alpha, so that holes in them have none, and do not say what passes.
     opaque: light never passes straight through; turns: how much of it does depends on where it is seen from (`faces`;
     and not only on which side: `turns_with_view`), on the ray's way there (`unforeseen`), or on where the part is
     placed (`placed`), or more may be sent besides than what does not pass (`adds`).

@@ -6,12 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pointmr_engine import Group, Material, Scene, principled, uniform_world
+from pointmr_engine.forward.baked.opacity_classes import _led
 from pointmr_engine.forward.baked.opacity_lattice import in_triangle, lattice
-from pointmr_engine.forward.drawing.cut_outs import build_cut_outs, lattices
+from pointmr_engine.forward.drawing.cut_outs import build_cut_outs, lattices, sampled
 from pointmr_engine.forward.drawing.part_opacity import LEAST_ADDED, MOST_ADDED, PartOpacity
 from pointmr_engine.hierarchy.geometry import compile_geometry
+from pointmr_engine.multires.fragments.transparency import close_transparency
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.texture import Image
+from pointmr_engine.shading.bsdf.layout import LAMBERT, SAMPLE, WEIGHT
+from pointmr_engine.shading.lobes import allocate
 from pointmr_engine.shading.program import compile_graph
 from tests.engine.small_scenes import from_above, quad
 from tests.engine.test_raytrace_light import DARK, image
@@ -95,6 +100,51 @@ def test_what_brightens_in_places_is_drawn_all_over(size, cones):
     assert ours.max() < 1.3 * exact.max()
 
 
+@pytest.mark.parametrize(("bright", "all_over"), [(0.05, False), (0.5, True)])
+def test_outlines_of_leaves_that_brighten_are_no_films(bright, all_over):
+    """Where an image's colour is brighter than its alpha, as at the edges of a leaf, more may pass than arrives."""
+
+    def opacity(triangles, u, v):
+        n = len(u)
+        found = np.zeros((n, 5))
+        found[: n // 4, :4] = 1.0
+        found[: int(bright * n), 4] = 1.0
+        return found
+
+    cells = sampled(opacity, np.zeros(1, np.int64), np.zeros(1, np.int64), 16)[1]
+    assert (cells > 0).all() == all_over
+
+
+def test_outlines_that_brighten_tell_no_leaves_apart():
+    rng = np.random.default_rng(3)
+
+    def opacity(triangles, u, v):
+        found = np.repeat((u > 0.3).astype(np.float64)[:, None], 5, 1)
+        found[:, 4] = rng.random(len(u)) < 0.1
+        return found
+
+    first, of = _led(np.arange(20), np.zeros(20, np.int64), opacity)
+    assert len(first) == 1 and not of.any()
+
+
+@given(st.floats(0.1, 1.0), st.tuples(*[st.floats(0.0, 0.6)] * 3), st.tuples(*[st.floats(0.2, 1.0)] * 3))
+def test_holes_between_coloured_leaves_are_as_large_as_they_are(leaves, passes, colour):
+    """The channel that leaves block most says how often they are drawn; what they send does not go by their share of a
+    footprint, which is what all channels tell.
+    """
+    lobes, own = allocate(1, 1), np.array([passes], np.float32)
+    lobes.count[0], lobes.kind[0, 0] = 1, LAMBERT
+    lobes.data[0, 0, WEIGHT : WEIGHT + 3] = leaves * np.array(colour)
+    lobes.data[0, 0, SAMPLE] = leaves * np.mean(colour)
+    lobes.transparency[0] = 1.0 - leaves + leaves * own[0]
+    throughput, drawn = np.ones((1, 3), np.float32), 1.0 - min(passes)
+    close_transparency(
+        lobes, throughput, np.ones(1, np.bool_), np.zeros(1, np.bool_), np.array([1.0 - drawn], np.float32), own,
+        np.int64(1),
+    )  # fmt: skip
+    np.testing.assert_allclose(drawn * leaves * throughput[0], 1.0, rtol=1e-3)
+
+
 @pytest.mark.parametrize("strength", [0.02, 0.3, 5.0])
 def test_it_shines_as_much_however_strong(strength):
     whole = scene(added(strength), DARK, floor=False)
@@ -154,3 +204,17 @@ def test_whole_scenes_are_as_without_it_where_nothing_shines():
     material = added(0.0)
     empty = Scene(Group("root", [quad(6.0, material=GREY)]), from_above(5.0), [], SKY)
     np.testing.assert_allclose(image(scene(material)), image(empty), atol=1e-3)
+
+
+def test_images_whose_colours_pass_light_are_read_where_leaves_are():
+    """The colour of a footprint's leaves passes nothing in its holes."""
+    nodes = {
+        "image": Node(
+            "image_texture", params={"image": Image("leaf", np.ones((4, 4, 4), np.float32), "Linear")}
+        ),
+        "leaf": Node("principled", {"base_color": Link("image", "color"), "alpha": Link("image", "alpha")}),
+        "clear": Node("transparent", {"color": Link("image", "color")}),
+        "both": Node("add_shader", {"shader": Link("leaf", "bsdf"), "shader_b": Link("clear", "bsdf")}),
+    }
+    assert compile_graph(Graph(nodes, surface=Link("leaf", "bsdf"))).masked
+    assert not compile_graph(Graph(nodes, surface=Link("both", "shader"))).masked

@@ -168,11 +168,11 @@ def glowing_inside() -> Material:
     return material
 
 
-@pytest.mark.parametrize("method", ["raytrace", "forward"])
-def test_as_many_backs_as_fronts_are_seen_of_leaves(method):
-    """A third of each pixel's leaves turn their backs on the eye, and a few subpixels of each are seen."""
+def test_as_many_backs_as_fronts_are_seen_of_leaves():
+    """Of each leaf a few subpixels are seen, between others that turn their other side to the eye."""
     rng, n = np.random.default_rng(2), 60_000
     axes = np.linalg.qr(rng.normal(size=(n, 3, 2)))[0].transpose(2, 0, 1) * 0.008
+    axes[0] *= rng.choice([-1, 1], n)[:, None]
     middle = rng.uniform((-1, -1, -0.2), (1, 1, 0.2), (n, 3))
     corners = np.stack([middle - axes[0], middle + axes[0], middle + axes[1]], 1).reshape(-1, 3)
     leaves = Mesh(
@@ -180,11 +180,13 @@ def test_as_many_backs_as_fronts_are_seen_of_leaves(method):
         materials=(glowing_inside(),),
     )  # fmt: skip
     scene = Scene(Group("root", [leaves]), from_above(6.0), [], uniform_world((0, 0, 0)))
-    seen = [
-        render(scene, RenderSettings(width=48, height=36, method=m, samples=s)).passes["combined"][..., 0].mean()
-        for m, s in ((method, 16), ("distributed", 64))
+    backs = [
+        render(scene, RenderSettings(width=96, height=72, method=m, samples=64))
+        .passes["combined"][..., 0]
+        .mean()
+        for m in ("raytrace", "distributed")
     ]
-    assert abs(seen[0] / seen[1] - 1.0) < 0.03  # 0.8 and 0.9 where backs beside fronts leaked
+    assert abs(backs[0] / backs[1] - 1.0) < 0.03  # 0.10 where backs beside fronts leaked, now 0.004
 
 
 def bumpy_torus(n: int, bump: float) -> Mesh:

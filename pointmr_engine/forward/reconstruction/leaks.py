@@ -96,7 +96,16 @@ def _surface_about(ids, width, height, x, y, perspective, subpixel, f: Fragments
 
 
 def close_leaks(
-    ids, width, height, perspective, subpixel, fragments: Fragments, geometry: Geometry, cut_outs, count, leaks
+    ids,
+    width,
+    height,
+    perspective,
+    subpixel,
+    fragments: Fragments,
+    geometry: Geometry,
+    cut_outs,
+    count,
+    leaks,
 ) -> int:
     """Let the surface show that fragments 0..count of a tile leak through; returns how many subpixels did.
 
@@ -106,7 +115,9 @@ def close_leaks(
     show their backs, in how many subpixels they leak, or STAYS; FRONT for the others.
     """
     first = np.int64(0)
-    while (first := _may_leak(perspective, fragments, geometry.closed, cut_outs, first, count, leaks)) < count:
+    while (
+        first := _may_leak(perspective, fragments, geometry.closed, cut_outs, first, count, leaks)
+    ) < count:
         geometry.find_closed(int(fragments.part[first]))
     return _close(ids, width, height, perspective, subpixel, fragments, count, leaks)
 
