@@ -49,7 +49,7 @@ class PartOpacity:
         channels, and the most that is seen from anywhere, of the channel that is blocked most.
 
         part: of all points, or (n,) of each. adds: (n, 5): the same, both with what the program adds, and 1 where
-        anybody sees what passes brightened, else 0; what is blocked there is not BRIGHTENED.
+        anybody sees what passes brightened, else 0. Where nothing is ever added, that is blocked but for BRIGHTENED.
         """
         program = self.programs[material]
         result = np.empty((len(triangles), 5 if adds else 2))
