@@ -263,7 +263,7 @@ class Program:
         self.turns_with_view: bool = "incoming" in read
         self.faces: bool = self.turns_with_view or "backfacing" in read
         self.turns: bool = self.faces or self.unforeseen or self.placed or self.adds
-        self.masked: bool = _masked(self._plan.steps) and not _has_colours(self._transparency_plan.steps)
+        self.masked: bool = _masked(self._plan.steps) and not _colours(self._transparency_plan.steps)
         self.emissive: bool = bool(emission)
         self.constant_emission: tuple[float, float, float] | None = None
         if all(isinstance(s, Constant) for s in emission):
@@ -441,10 +441,6 @@ def _masked(steps) -> bool:
     )
 
 
-def _has_colours(steps) -> bool:
-    return any(True for _ in _colours(steps))
-
-
-def _colours(steps):
+def _colours(steps) -> list[dict]:
     """Parameters of the images of whose colours steps of a Plan make use."""
-    return (s.params for _, s, wanted in steps if s.type.kind == "image_texture" and "color" in wanted)
+    return [s.params for _, s, wanted in steps if s.type.kind == "image_texture" and "color" in wanted]

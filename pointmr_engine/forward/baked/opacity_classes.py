@@ -24,9 +24,8 @@ from pointmr_engine.shading.program import OF_INSTANCE
 LOOKS = 16  # points of a triangle that are compared with its leader's
 SIDE = 32  # samples along the edges of leaders while they are compared
 TOLERANCE = 0.12  # of opacity
-SHARES = (
-    4  # columns that are compared: outlines that brighten what passes, or do not, tell no triangles apart
-)
+# columns of it that are compared: outlines that brighten what passes, or do not, tell no triangles apart
+SHARES = 4
 LEADERS = 16  # at most, of triangles that vary alike
 EVEN = 0.02  # difference of opacity over a triangle that is even
 _QUANTUM = 1.0 / 4096  # of texture coordinates

@@ -170,7 +170,7 @@ def sampled(opacity_of: Opacity, triangles: np.ndarray, rows: np.ndarray, side: 
 
     Cells that lie beyond the longest edge, which nobody asks for, have what they are turned into. Beside opaque cells,
     which shine for the holes between them, too, what is added to holes is left out, and so it is where there is little
-    of it. For rays, triangles that brighten what passes in much of what is drawn are drawn all over, for a fragment
+    of it. For rays, triangles that brighten what passes in many of their cells are drawn all over, for a fragment
     weighs all that it is seen of alike.
     """
     n = len(triangles)
