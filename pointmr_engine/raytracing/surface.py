@@ -264,8 +264,11 @@ def _fill_surface(
         local = np.empty((n if "local" in needs else 0, 3), np.float32)
         generated = np.empty((n if "generated" in needs else 0, 3), np.float32)
         local_points(tables, samples, local, generated)
-        points.local = local if "local" in needs else None
-        points.generated = generated if "generated" in needs else None
+        # what is not named stays: moved points are filled in two parts
+        if "local" in needs:
+            points.local = local
+        if "generated" in needs:
+            points.generated = generated
         if "generated" in needs and layer(geometry, "attribute", GENERATED).domain.any():
             rest = _layer_values(geometry, "attribute", GENERATED, samples, 3)
             stored = layer(geometry, "attribute", GENERATED).domain[samples.part] != NONE

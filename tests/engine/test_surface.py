@@ -287,6 +287,25 @@ def test_moved_points_stay_in_the_plane_and_move_everything(seed):
     np.testing.assert_allclose(there.moved(step[None]).position - there.position, step[None], atol=1e-9)
 
 
+@pytest.mark.parametrize("behind", [False, True])
+def test_bumps_move_all_that_textures_lie_by(behind):
+    """Seen from behind, what is stored with the mesh goes the other way, and nothing that is asked for gets lost."""
+    side = -1.0 if behind else 1.0
+    geometry, rays, hits, frames = seen(Group("root", [quad()]), [0.7, 0.4, side], [0, 0, -side])
+    points = surface.gather(
+        geometry, rays, hits, frames, np.array([0]), frozenset(ALL), surface.allocate_ray_state(1)
+    )
+    assert points.backfacing[0] == behind
+    there = points.moved(
+        np.array([[0.01, 0.02, 0.0]]), frozenset({"local", "generated", "uv:Map"}), bump=True
+    )
+    np.testing.assert_allclose(there.local - points.local, [[0.01, 0.02, 0]], atol=1e-6)
+    np.testing.assert_allclose(
+        there.generated - points.generated, [[side * 0.005, side * 0.02, 0]], atol=1e-6
+    )
+    np.testing.assert_allclose(there.uvs["Map"] - points.uvs["Map"], [[side * 0.005, side * 0.06]], atol=1e-6)
+
+
 @settings(max_examples=10)
 @given(seeds)
 @example(446173644)  # a point 0.01 from the viewer, in a mesh of 16
