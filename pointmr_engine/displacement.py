@@ -12,10 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from pointmr_engine.hierarchy.geometry import Geometry, with_parts
+from pointmr_engine.hierarchy.layers import uv_layer
+from pointmr_engine.hierarchy.tangents import corner_tangents
 from pointmr_engine.raytracing.surface import points_at
-from pointmr_engine.scene.material import RESTING
+from pointmr_engine.scene.material import RESTING, RESTING_NORMAL, resting_tangent
 from pointmr_engine.scene.mesh import GENERATED, Attribute, Mesh
 from pointmr_engine.shading.displacement import Displacement
+
+FLAT = 1e-4  # of corners that have normals of their own, from that of the triangle: it is flat
 
 
 def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
@@ -47,7 +51,7 @@ def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
             if key not in made:
                 made[key] = _displace(geometry, p, mesh, programs, warnings)
             positions, normals = made[key]
-            attributes = {GENERATED: _generated(geometry, p, mesh)} | mesh.attributes
+            attributes = {GENERATED: _generated(geometry, p, mesh)} | mesh.attributes | _frames_at_rest(mesh)
             parts[p] = replace(mesh, positions=positions, normals=normals, attributes=attributes)
     return with_parts(geometry, parts), warnings
 
@@ -89,6 +93,24 @@ def _generated(geometry: Geometry, p: int, mesh: Mesh) -> Attribute:
     lower, upper = geometry.tables.generated[p]
     size = np.where(upper != lower, upper - lower, np.inf)
     return Attribute(((mesh.positions - lower) / size).astype(np.float32), "vertex")
+
+
+def _frames_at_rest(mesh: Mesh) -> dict[str, Attribute]:
+    """Normals and tangents of the resting mesh, as far as its materials' normal maps read them."""
+    layers = frozenset().union(*(m.mapped_at_rest for m in mesh.materials if m is not None))
+    if not layers:
+        return {}
+    normals = np.zeros((len(mesh.triangles), 3, 3), np.float32)
+    if mesh.normals is not None:
+        normals[:] = _corners(mesh, mesh.positions, mesh.normals)
+        own = _of_triangles(mesh, mesh.positions)[:, None]
+        normals[(np.abs(normals - own) < FLAT).all((1, 2)) & (mesh.normals.ndim == 3)] = 0.0
+    found = {RESTING_NORMAL: Attribute(normals.reshape(-1, 3))}
+    for name in layers:
+        uv = uv_layer(mesh, name)
+        if uv is not None:
+            found[resting_tangent(name)] = Attribute(corner_tangents(mesh, uv).reshape(-1, 4))
+    return found
 
 
 def _offsets(

@@ -8,6 +8,8 @@ from pointmr_engine.scene.graph import Graph, Link, Node
 
 # attribute (V, 3) per vertex: where vertices lay before they were displaced, which bumps of displacements read
 RESTING = ".resting"
+# ... (3T, 3) per corner: the normals of smooth triangles then, 0 of flat ones, which normal maps tilt
+RESTING_NORMAL = ".resting normal"
 
 
 @dataclass(eq=False)
@@ -36,15 +38,24 @@ class Material:
         return self.moves_vertices and self.bump_method == "DISPLACEMENT"
 
     @property
+    def mapped_at_rest(self) -> frozenset[str]:
+        """UV layers ("": the active one) of normal maps that tilt the normals that vertices had before they moved."""
+        nodes = self.graph.nodes.values() if self.moves_vertices else ()
+        return frozenset(node.params.get("layer", "") for node in nodes if _is_tangent_map(node))
+
+    @property
     def surface_graph(self) -> Graph:
         """The graph that shades: its displacement is no bump where vertices have been moved by it alone.
 
-        Where it is both, the bump is that of the resting mesh. Object Info nodes know the material's index.
+        Where it is both, the bump is that of the resting mesh, as are the tangents of normal maps in either case.
+        Object Info nodes know the material's index.
         """
         nodes = dict(self.graph.nodes)
         for key, node in nodes.items():
             if node.kind == "object_info":
                 nodes[key] = replace(node, params=node.params | {"material_index": self.pass_index})
+            elif self.moves_vertices and _is_tangent_map(node):
+                nodes[key] = replace(node, params=node.params | {"resting": True})
         if self.shades_moved:
             return replace(self.graph, nodes=nodes, displacement=None)
         graph = replace(self.graph, nodes=nodes)
@@ -54,6 +65,15 @@ class Material:
     def reads_resting(self) -> bool:
         """Whether its surface reads the attribute RESTING."""
         return self.moves_vertices and RESTING in self.surface_graph.nodes
+
+
+def resting_tangent(layer: str) -> str:
+    """Attribute (3T, 4) per corner: tangents of a UV layer, in the object's space, before vertices were displaced."""
+    return f".resting tangent {layer}"
+
+
+def _is_tangent_map(node: Node) -> bool:
+    return node.kind == "normal_map" and node.params.get("space", "TANGENT") == "TANGENT"
 
 
 def _at_rest(graph: Graph) -> Graph:

@@ -13,11 +13,17 @@ pytestmark = pytest.mark.usefixtures("engine")
 SIZE = (64, 64)
 
 
-def showing_normals(method: str, coordinates: str | None) -> bpy.types.Material:
-    """Shines in the colours of its normals; as high as waves of a texture coordinate, or evenly raised."""
+def showing_normals(method: str, coordinates: str | None, mapped: float | None = None) -> bpy.types.Material:
+    """Shines in the colours of its normals; as high as waves of a texture coordinate, or evenly raised.
+
+    mapped: the strength of a tangent normal map of one colour that tilts them.
+    """
 
     def surface(tree):
         normal = stage.node(tree, "ShaderNodeNewGeometry").outputs["Normal"]
+        if mapped is not None:
+            tilt = {"Strength": mapped, "Color": (0.8, 0.35, 0.75, 1.0)}
+            normal = stage.node(tree, "ShaderNodeNormalMap", tilt).outputs[0]
         half = {0: normal, 1: (0.5, 0.5, 0.5), 2: (0.5, 0.5, 0.5)}
         colour = stage.node(tree, "ShaderNodeVectorMath", half, operation="MULTIPLY_ADD").outputs[0]
         return stage.node(tree, "ShaderNodeEmission", {"Color": colour}).outputs[0]
@@ -86,3 +92,18 @@ def test_displaced_floors_are_those_of_cycles_from_either_side(tmp_path, method,
     bpy.context.object.data.materials.append(showing_normals(method, coordinates))
     stage.camera(at=(3, -5, height), target=(0, 0, 0))
     assert_as_cycles(tmp_path, 0.02 if coordinates == "Object" else 0.01)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("strength", [0.4, 1.0])
+@pytest.mark.parametrize("method", ["BUMP", "DISPLACEMENT", "BOTH"])
+def test_normal_maps_of_displaced_meshes_are_those_of_cycles(tmp_path, method, strength, smooth):
+    """They tilt the normals that smooth meshes had before, and by their strength those that these have now."""
+    stage.empty_scene()
+    bpy.ops.mesh.primitive_torus_add(major_segments=48, minor_segments=24)
+    ring = bpy.context.object
+    ring.data.materials.append(showing_normals(method, "UV", strength))
+    for side in ring.data.polygons:
+        side.use_smooth = smooth
+    stage.camera(at=(3, -5, 3.5), target=(0, 0, 0))
+    assert_as_cycles(tmp_path, 0.01)

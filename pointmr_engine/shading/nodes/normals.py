@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pointmr_engine.numerics.transforms import inverse_linear
+from pointmr_engine.scene.material import RESTING_NORMAL, resting_tangent
 from pointmr_engine.shading.nodes.inputs import (
     normal_to_object,
     normal_to_world,
@@ -19,7 +20,15 @@ from pointmr_engine.shading.values import cross, dot, normalize, saturate, trans
 def _normal_map_reads(params: dict, wanted: frozenset[str]) -> list[str]:
     space = params.get("space", "TANGENT")
     if space == "TANGENT":
-        return [f"tangent:{params.get('layer', '')}", "smooth_normal", "backfacing", "world_from_part"]
+        layer = params.get("layer", "")
+        reads = [f"tangent:{layer}", "smooth_normal", "backfacing", "world_from_part"]
+        if params.get("resting"):
+            reads += [
+                f"attribute:{RESTING_NORMAL}",
+                f"attribute:{resting_tangent(layer)}",
+                "geometric_normal",
+            ]
+        return reads
     return ["backfacing"] + ["world_from_part"] * ("OBJECT" in space)
 
 
@@ -39,6 +48,19 @@ def object_frame(points: SurfacePoints, tangents: np.ndarray) -> tuple[np.ndarra
     return tangent, cross(up, tangent) * sign, up
 
 
+def _resting_frame(c: Call) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """`object_frame` before the mesh was displaced, and whether triangles are smooth (n, 1): the normals of flat ones
+    are those that they have now.
+    """
+    points, attributes = c.points, c.points.attributes
+    tangents = attributes[resting_tangent(c.params.get("layer", ""))]
+    tangent, up = tangents[:, :3], attributes[RESTING_NORMAL][:, :3]
+    smooth = (up != 0).any(1)[:, None]
+    own = np.where(points.backfacing[:, None], -points.geometric_normal, points.geometric_normal)
+    up = np.where(smooth, up, normal_to_object(points, own))
+    return tangent, cross(up, tangent) * tangents[:, 3:], up, smooth
+
+
 @node(
     "normal_map",
     {
@@ -50,24 +72,35 @@ def object_frame(points: SurfacePoints, tangents: np.ndarray) -> tuple[np.ndarra
     reads=_normal_map_reads,
 )
 def _normal_map(c: Call) -> np.ndarray:
-    """params: space "TANGENT", "OBJECT", "WORLD", "BLENDER_OBJECT", "BLENDER_WORLD"; layer of the tangents."""
+    """params: space "TANGENT", "OBJECT", "WORLD", "BLENDER_OBJECT", "BLENDER_WORLD"; layer of the tangents; resting:
+    they, and the normals of smooth triangles, are those from before the mesh was displaced, and the strength mixes the
+    result with the normals of now, as in Cycles.
+    """
     space, points = c.params.get("space", "TANGENT"), c.points
     color = 2 * c["color"] - 1
     strength = c.vector("strength")
     shading = c["shading_normal"]
+    mixed = space != "TANGENT"  # with what is there without the map
     if space == "TANGENT":
-        x, y = color[:, :1] * strength, color[:, 1:2] * strength
-        z = 1 + (color[:, 2:] - 1) * saturate(strength)
-        tangent, across, up = object_frame(points, points.tangents[c.params.get("layer", "")])
+        if c.params.get("resting"):
+            tangent, across, up, mixed = _resting_frame(c)
+        else:
+            tangent, across, up = object_frame(points, points.tangents[c.params.get("layer", "")])
+        within = np.where(mixed, 1, strength)
+        x, y, z = (
+            color[:, :1] * within,
+            color[:, 1:2] * within,
+            1 + (color[:, 2:] - 1) * saturate(within),
+        )
         n = normal_to_world(points, x * tangent + y * across + z * up)
         n = np.where((tangent == 0).all(1)[:, None], points.smooth_normal, n)
-        n = np.where(points.backfacing[:, None], -n, n)
     else:
         if space.startswith("BLENDER"):
             color = color * np.array([1, -1, -1], np.float32)
         n = normal_to_world(points, color) if space.endswith("OBJECT") else normalize(color)
-        n = np.where(points.backfacing[:, None], -n, n)
-        n = np.where(strength == 1, n, normalize(shading + (n - shading) * np.maximum(strength, 0)))
+    n = np.where(points.backfacing[:, None], -n, n)
+    whole = ~np.asarray(mixed) | (strength == 1)
+    n = np.where(whole, n, normalize(shading + (n - shading) * np.maximum(strength, 0)))
     bad = ~np.isfinite(n).all(1) | (n == 0).all(1)
     return np.where(bad[:, None], shading, n)
 
