@@ -15,7 +15,7 @@ from pointmr_engine.multires.cones.cones import Cones
 from pointmr_engine.multires.lens.lens import refracts, sharpest
 from pointmr_engine.multires.sharing.world_rays import WORTH
 from pointmr_engine.raytracing.compile_lamps import compile_lamps
-from pointmr_engine.raytracing.emitter_search import sampled_sides
+from pointmr_engine.raytracing.emitter_search import leaves_haze, sampled_sides
 from pointmr_engine.raytracing.integrator import Stage
 from pointmr_engine.raytracing.lamps import CONE, DISTANT, POINT, SUN, TAN_SPREAD
 from pointmr_engine.raytracing.lights import LAMP, WORLD, build_lights
@@ -114,7 +114,8 @@ def sampled_lights(scene, sampler, lights):
     materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
     same = all(sampled_sides(m, p) == sampled_sides(m, p, every=True) for m, p in materials)
     environment = lights.environment
-    if same and not environment.unsampled and environment.sun is None:
+    same = same and not environment.unsampled and environment.sun is None
+    if same and not leaves_haze(sampler.geometry, sampler.programs):
         return lights
     if sampler.lights is None:
         sampler.lights = build_lights(scene, sampler.geometry, sampler.programs, environment, every=True)

@@ -18,6 +18,7 @@ MOST_EMITTERS = 1 << 20
 MOST_LEFT = 1 << 14  # triangles that are left to chance and may be sampled nevertheless: lamps, and not haze
 _WEAK = 0.5  # emission below this is left to chance, as in Cycles: not worth a light sample
 _FAINT = 0.1  # and below this always: a glow, whose samples near it would be missing where they bring light
+_DARK = 0.01  # emission below this is looked for by no ray that would not be sent anyway
 _MOST_PROBED = 1 << 16  # triangles whose varying emission is estimated by evaluating it
 _SIDES = {"FRONT": FRONT, "BACK": BACK, "FRONT_BACK": FRONT | BACK, "NONE": 0}
 
@@ -61,8 +62,7 @@ def sampled_sides(material: Material | None, program, every: bool = False) -> in
     """Which sides of a material's surfaces are sampled as lights: FRONT and BACK bits; `every`: both, if not faint."""
     if material is None or not program.emissive:
         return 0
-    constant = program.constant_emission
-    strength = estimate_emission(material.graph) if constant is None else float(np.abs(constant).max())
+    strength = _strength(material, program)
     if strength == 0.0:
         return 0
     if every and strength > _FAINT:
@@ -70,6 +70,14 @@ def sampled_sides(material: Material | None, program, every: bool = False) -> in
     if material.emission_sampling == "AUTO":
         return FRONT | BACK if strength > _WEAK else 0
     return _SIDES.get(material.emission_sampling, FRONT | BACK)
+
+
+def _strength(material: Material | None, program) -> float:
+    """The largest channel of what a material emits, about."""
+    if material is None or not program.emissive:
+        return 0.0
+    constant = program.constant_emission
+    return estimate_emission(material.graph) if constant is None else float(np.abs(constant).max())
 
 
 def find_emitters(
@@ -116,8 +124,12 @@ def find_emitters(
 
 
 def leaves_haze(geometry: Geometry, programs: list) -> bool:
-    """Whether `find_emitters` of `every` leaves something to chance, as it has too many triangles."""
-    left = _sides(geometry, programs, True) != _sides(geometry, programs, False)
+    """Whether `find_emitters` of `every` leaves to chance what lights others: glows, or what has too many triangles."""
+    sampled = _sides(geometry, programs, True)
+    for m, (material, program) in enumerate(zip(geometry.materials, programs, strict=True)):
+        if not sampled[m] and _strength(material, program) > _DARK:
+            return True
+    left = sampled != _sides(geometry, programs, False)
     return bool(left.any()) and not _few_left(geometry, left).all()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointmr_engine import Group, Material, Mesh, Scene, principled
+from pointmr_engine import Group, Material, Mesh, RenderSettings, Scene, principled, render
 from pointmr_engine.render import Cache
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.group import CAMERA, DIFFUSE, SHADOW, VISIBLE, instance
@@ -58,6 +58,23 @@ def test_what_is_left_to_chance_is_met_by_scattered_rays():
     cache, floor = Cache(), np.s_[12:24, 16:32]
     exact = image(whole, cache, method="distributed", samples=1024)[floor].mean()
     assert image(whole, cache, cones=4)[floor].mean() == pytest.approx(exact, rel=0.04)
+
+
+def test_glows_light_what_is_near_them():
+    """Emission too weak to be sampled by any method is met by rays of diffuse surfaces."""
+    glow = principled(base_color=(0.0, 0.0, 0.0), specular_ior_level=0.0, emission_strength=0.08)
+    whole, cache, floor = wall_and_floor(glow), Cache(), np.s_[12:24, 16:32]
+    exact = image(whole, cache, method="distributed", samples=1024)[floor].mean()
+    assert exact > 0.005
+    assert image(whole, cache, cones=4)[floor].mean() == pytest.approx(exact, rel=0.04)
+
+
+@pytest.mark.parametrize(("strength", "sent"), [(0.005, False), (0.05, True), (0.2, False)])
+def test_rays_look_for_glows_alone(strength, sent):
+    """Not for what hardly glows, nor for what light samples find."""
+    scene = wall_and_floor(principled(specular_ior_level=0.0, emission_strength=strength))
+    counters = render(scene, RenderSettings(48, 36, method="raytrace")).stats["counters"]
+    assert (counters.get("lobe_rays", 0) > 0) == sent
 
 
 @pytest.mark.parametrize("missing", [SHADOW, DIFFUSE])
