@@ -28,6 +28,7 @@ from pointmr_engine.shading.footprint_mean import (
     roughness_at_places,
     slope_variance,
     stretched_means,
+    turns,
 )
 from pointmr_engine.shading.footprint_slopes import TextureSlopes, fill_slopes
 from pointmr_engine.shading.leaf_plan import LeafPlan
@@ -199,7 +200,9 @@ class Shader:
                         plan.distribution == "multi_ggx",
                     )  # fmt: skip
                 if means.variances:
-                    widen_lobes(out, rows[means.rows], before[means.rows], *_variances_of(plan, means))
+                    at = rows[means.rows]
+                    tails = turns(frames.position[at], self.seed + 1)[0]
+                    widen_lobes(out, at, before[means.rows], *_variances_of(plan, means), tails)
         if self.filter_glossy > 0.0:
             rows = np.flatnonzero(wanted[:n] & (state.density[:n] < self.filter_glossy))
             if len(rows):

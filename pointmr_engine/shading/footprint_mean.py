@@ -265,7 +265,7 @@ def _at_places(run, gather, rows: np.ndarray, needs, seed: int, begin: int, end:
     points = gather(rows)
     a, b = _turned(points, *_axes(points))
     places, offset = np.empty((2, end - begin, len(rows))), np.empty((end - begin, len(rows), 3))
-    _fill_places(np.stack(_turns(points.position, seed)), _LATTICE[:, begin:end], a, b, places, offset)
+    _fill_places(np.stack(turns(points.position, seed)), _LATTICE[:, begin:end], a, b, places, offset)
     if narrower is not None:
         narrower = np.full(len(rows), narrower, np.float32)
     return _values_at(run, points, offset, needs, narrower), places, np.stack([a, b])
@@ -337,7 +337,7 @@ def _turned(points: SurfacePoints, a: np.ndarray, b: np.ndarray) -> tuple[np.nda
     return c * a + s * b, c * b - s * a
 
 
-def _turns(position: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def turns(position: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Two numbers (n,) in 0..1 for each position (n, 3) float64: where the places of its footprint begin."""
     h = np.full(len(position), np.uint64(0x9E3779B97F4A7C15 * (2 * seed + 1) & 0xFFFFFFFFFFFFFFFF))
     for c in range(3):

@@ -77,11 +77,13 @@ def _scale_weight(lobes, i, j, share):
 
 
 @uncounted
-def widen_lobes(lobes, rows, first, variance, of_coat):
+def widen_lobes(lobes, rows, first, variance, of_coat, chance):
     """Widen the glossy lobes of the points `rows` (m,) int64, from lobe first (m,) on, by the variance of slopes below
     them: variance (m,) float32, and of_coat (m,) below coats.
 
-    A Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2.
+    A Beckmann lobe of roughness alpha has slopes of variance alpha^2 / 2. The normals' slopes have no tails, but those
+    of a GGX lobe stay what they are, however its peak is blurred, and go by alpha^2: of lobes so much wider, as large a
+    part stay GGX as alpha^2 is of the new one, by chance (m,) float64, 0..1, and the others become Beckmann.
     """
     for k in range(len(rows)):
         i = rows[k]
@@ -92,7 +94,7 @@ def widen_lobes(lobes, rows, first, variance, of_coat):
                 x, y = np.float64(lobes.data[i, j, ALPHA_X]), np.float64(lobes.data[i, j, ALPHA_Y])
                 note_mirror(lobes, i, j)
                 lobes.flags[i] |= HAS_EVALUATION  # a mirror no longer, which light samples are worth
-                if extra > x * y:
+                if not chance[k] * (x * y + extra) < x * y:
                     lobes.kind[i, j] = lobes.kind[i, j] | BECKMANN
                 set_roughness(lobes, i, j, x, y, extra)
 
