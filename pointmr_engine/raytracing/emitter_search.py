@@ -18,7 +18,9 @@ MOST_EMITTERS = 1 << 20
 MOST_LEFT = 1 << 14  # triangles that are left to chance and may be sampled nevertheless: lamps, and not haze
 _WEAK = 0.5  # emission below this is left to chance, as in Cycles: not worth a light sample
 _FAINT = 0.1  # and below this always: a glow, whose samples near it would be missing where they bring light
-_DARK = 0.01  # emission below this is looked for by no ray that would not be sent anyway
+_DARK = (
+    0.05  # emission below this is looked for by no ray that would not be sent anyway: as wax beside its flame
+)
 _MOST_PROBED = 1 << 16  # triangles whose varying emission is estimated by evaluating it
 _SIDES = {"FRONT": FRONT, "BACK": BACK, "FRONT_BACK": FRONT | BACK, "NONE": 0}
 
