@@ -46,12 +46,14 @@ def displaced(geometry: Geometry) -> tuple[Geometry, list[str]]:
             # parts that share arrays and materials go on sharing
             key = (
                 *(id(a) for a in (mesh.positions, mesh.triangles, mesh.normals, mesh.material_index)),
+                *(id(uv) for uv in mesh.uvs.values()),
+                mesh.active_uv,
                 mesh.materials,
             )
             if key not in made:
-                made[key] = _displace(geometry, p, mesh, programs, warnings)
-            positions, normals = made[key]
-            attributes = {GENERATED: _generated(geometry, p, mesh)} | mesh.attributes | _frames_at_rest(mesh)
+                made[key] = *_displace(geometry, p, mesh, programs, warnings), _frames_at_rest(mesh)
+            positions, normals, frames = made[key]
+            attributes = {GENERATED: _generated(geometry, p, mesh)} | mesh.attributes | frames
             parts[p] = replace(mesh, positions=positions, normals=normals, attributes=attributes)
     return with_parts(geometry, parts), warnings
 
@@ -103,8 +105,9 @@ def _frames_at_rest(mesh: Mesh) -> dict[str, Attribute]:
     normals = np.zeros((len(mesh.triangles), 3, 3), np.float32)
     if mesh.normals is not None:
         normals[:] = _corners(mesh, mesh.positions, mesh.normals)
-        own = _of_triangles(mesh, mesh.positions)[:, None]
-        normals[(np.abs(normals - own) < FLAT).all((1, 2)) & (mesh.normals.ndim == 3)] = 0.0
+        if mesh.normals.ndim == 3:
+            own = _of_triangles(mesh, mesh.positions)[:, None]
+            normals[(np.abs(normals - own) < FLAT).all((1, 2))] = 0.0
     found = {RESTING_NORMAL: Attribute(normals.reshape(-1, 3))}
     for name in layers:
         uv = uv_layer(mesh, name)

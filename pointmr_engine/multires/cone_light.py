@@ -112,10 +112,10 @@ class ConeLight:
 def sampled_lights(scene, sampler, lights):
     """The scene's `lights` as cones need them: what is left to chance is sampled, the world's sun is a lamp. Kept."""
     materials = zip(sampler.geometry.materials, sampler.programs, strict=True)
-    same = all(sampled_sides(m, p) == sampled_sides(m, p, every=True) for m, p in materials)
     environment = lights.environment
-    same = same and not environment.unsampled and environment.sun is None
-    if same and not leaves_haze(sampler.geometry, sampler.programs):
+    differ = environment.unsampled or environment.sun is not None
+    differ = differ or any(sampled_sides(m, p) != sampled_sides(m, p, every=True) for m, p in materials)
+    if not differ and not leaves_haze(sampler.geometry, sampler.programs):
         return lights
     if sampler.lights is None:
         sampler.lights = build_lights(scene, sampler.geometry, sampler.programs, environment, every=True)

@@ -18,9 +18,7 @@ MOST_EMITTERS = 1 << 20
 MOST_LEFT = 1 << 14  # triangles that are left to chance and may be sampled nevertheless: lamps, and not haze
 _WEAK = 0.5  # emission below this is left to chance, as in Cycles: not worth a light sample
 _FAINT = 0.1  # and below this always: a glow, whose samples near it would be missing where they bring light
-_DARK = (
-    0.05  # emission below this is looked for by no ray that would not be sent anyway: as wax beside its flame
-)
+_DARK = 0.05  # and below this by no rays of its own: candle wax, beside its flame
 _MOST_PROBED = 1 << 16  # triangles whose varying emission is estimated by evaluating it
 _SIDES = {"FRONT": FRONT, "BACK": BACK, "FRONT_BACK": FRONT | BACK, "NONE": 0}
 
@@ -62,8 +60,6 @@ def estimate_emission(graph: Graph) -> float:
 
 def sampled_sides(material: Material | None, program, every: bool = False) -> int:
     """Which sides of a material's surfaces are sampled as lights: FRONT and BACK bits; `every`: both, if not faint."""
-    if material is None or not program.emissive:
-        return 0
     strength = _strength(material, program)
     if strength == 0.0:
         return 0
@@ -128,9 +124,9 @@ def find_emitters(
 def leaves_haze(geometry: Geometry, programs: list) -> bool:
     """Whether `find_emitters` of `every` leaves to chance what lights others: glows, or what has too many triangles."""
     sampled = _sides(geometry, programs, True)
-    for m, (material, program) in enumerate(zip(geometry.materials, programs, strict=True)):
-        if not sampled[m] and _strength(material, program) > _DARK:
-            return True
+    pairs = zip(sampled, geometry.materials, programs, strict=True)
+    if any(not sides and _strength(material, program) > _DARK for sides, material, program in pairs):
+        return True
     left = sampled != _sides(geometry, programs, False)
     return bool(left.any()) and not _few_left(geometry, left).all()
 

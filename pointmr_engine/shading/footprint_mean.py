@@ -338,7 +338,9 @@ def _turned(points: SurfacePoints, a: np.ndarray, b: np.ndarray) -> tuple[np.nda
 
 
 def turns(position: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two numbers (n,) in 0..1 for each position (n, 3) float64: where the places of its footprint begin."""
+    """Two numbers (n,) in 0..1 for each position (n, 3) float64, as if by chance: where the places of its footprint
+    begin, or what it is of several that it may be.
+    """
     h = np.full(len(position), np.uint64(0x9E3779B97F4A7C15 * (2 * seed + 1) & 0xFFFFFFFFFFFFFFFF))
     for c in range(3):
         h = (h ^ np.ascontiguousarray(position[:, c]).view(np.uint64)) * np.uint64(0xBF58476D1CE4E5B9)

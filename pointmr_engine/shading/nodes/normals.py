@@ -20,15 +20,11 @@ from pointmr_engine.shading.values import cross, dot, normalize, saturate, trans
 def _normal_map_reads(params: dict, wanted: frozenset[str]) -> list[str]:
     space = params.get("space", "TANGENT")
     if space == "TANGENT":
-        layer = params.get("layer", "")
-        reads = [f"tangent:{layer}", "smooth_normal", "backfacing", "world_from_part"]
-        if params.get("resting"):
-            reads += [
-                f"attribute:{RESTING_NORMAL}",
-                f"attribute:{resting_tangent(layer)}",
-                "geometric_normal",
-            ]
-        return reads
+        layer, reads = params.get("layer", ""), ["smooth_normal", "backfacing", "world_from_part"]
+        if not params.get("resting"):
+            return [*reads, f"tangent:{layer}"]
+        frame = (f"attribute:{name}" for name in (RESTING_NORMAL, resting_tangent(layer)))
+        return [*reads, "geometric_normal", *frame]
     return ["backfacing"] + ["world_from_part"] * ("OBJECT" in space)
 
 
@@ -87,11 +83,8 @@ def _normal_map(c: Call) -> np.ndarray:
         else:
             tangent, across, up = object_frame(points, points.tangents[c.params.get("layer", "")])
         within = np.where(mixed, 1, strength)
-        x, y, z = (
-            color[:, :1] * within,
-            color[:, 1:2] * within,
-            1 + (color[:, 2:] - 1) * saturate(within),
-        )
+        x, y = color[:, :1] * within, color[:, 1:2] * within
+        z = 1 + (color[:, 2:] - 1) * saturate(within)
         n = normal_to_world(points, x * tangent + y * across + z * up)
         n = np.where((tangent == 0).all(1)[:, None], points.smooth_normal, n)
     else:
