@@ -307,8 +307,8 @@ class _Kernels:
             )
         self.lights.world_pdf(origin, normal, transmissive, direction)
         self.lights.seen_lamps(
-            origin, direction, hits.t[:0], now.rays.visibility[:0], normal, transmissive, now.bsdf_pdf[:0],
-            np.zeros((0, 3), np.float32),
+            origin, direction, now.rays.t_min[:0], hits.t[:0], now.rays.visibility[:0], normal, transmissive,
+            now.bsdf_pdf[:0], np.zeros((0, 3), np.float32),
         )  # fmt: skip
 
     def frames(self) -> None:

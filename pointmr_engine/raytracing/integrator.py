@@ -263,7 +263,7 @@ class Workspace:
         if len(lights.arrays.met_lamps):
             met = np.zeros((n, 3), np.float32)
             lights.seen_lamps(
-                rays.origin, rays.direction, self.hits.t[:n], rays.visibility, now.origin_normal[:n],
+                rays.origin, rays.direction, rays.t_min, self.hits.t[:n], rays.visibility, now.origin_normal[:n],
                 now.origin_transmissive[:n], self.pdf_of_lamps(now, n, bounce), met,
             )  # fmt: skip
             paths.add_radiance(now, self.samples, stage.limits, met, np.ones(n), n)

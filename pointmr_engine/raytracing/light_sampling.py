@@ -201,7 +201,7 @@ def _weight(pdf, other):
 
 @uncounted
 def add_seen_lamps(
-    lamps, tree, met, suns, position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf, out
+    lamps, tree, met, suns, position, direction, t_min, t_hit, visibility, normal, transmissive, bsdf_pdf, out
 ):
     """`Lights.seen_lamps`; met: the lamps that rays can meet, the first `suns` of them suns; none that varies."""
     for i in range(len(position)):
@@ -217,7 +217,7 @@ def add_seen_lamps(
             if not lamps.mis[lamp] and (not camera or k < suns):
                 continue
             t = intersect_lamp(lamps, lamp, px, py, pz, dx, dy, dz)
-            if not (t > 0.0) or (t >= t_hit[i] and t < math.inf):
+            if not (t > t_min[i]) or (t >= t_hit[i] and t < math.inf):
                 continue
             pdf, scale = lamp_pdf_scale(lamps, lamp, px, py, pz, nx, ny, nz, transmissive[i], dx, dy, dz, t)
             if not scale > 0.0:

@@ -231,6 +231,7 @@ class Lights:
         self,
         position: np.ndarray,
         direction: np.ndarray,
+        t_min: np.ndarray,
         t_hit: np.ndarray,
         visibility: np.ndarray,
         normal: np.ndarray,
@@ -238,14 +239,15 @@ class Lights:
         bsdf_pdf: np.ndarray,
         out: np.ndarray,
     ) -> None:
-        """Add to out (N, 3) float32 the weighted radiance of lamps that the rays pass before t_hit (inf: suns as well).
+        """Add to out (N, 3) float32 the weighted radiance of lamps that the rays pass between t_min and t_hit.
 
-        Lamps do not stop rays. visibility (N,) uint8: the ray's own bit (CAMERA, DIFFUSE, ...).
+        t_min, t_hit (N,) float64, along the rays: behind a transparent surface a ray keeps its origin; where t_hit is
+        inf suns are met as well. Lamps do not stop rays. visibility (N,) uint8: the ray's own bit (CAMERA, ...).
         """
         a = self.arrays
         if not len(a.met_lamps):
             return
-        rays = (position, direction, t_hit, visibility, normal, transmissive, bsdf_pdf)
+        rays = (position, direction, t_min, t_hit, visibility, normal, transmissive, bsdf_pdf)
         kernels.add_seen_lamps(a.lamps, a.tree, a.met_lamps, a.met_suns, *rays, out)
         for k, own in self.nodes.items():
             if k not in a.met_lamps:

@@ -107,7 +107,7 @@ def by_rays(lights, position, normal=UP, n=N, mis=False, seed=1):
     bsdf_pdf = pdf if mis else np.full(n, np.inf)
     index, t = meets(lights, p, d)
     value = np.zeros((n, 3), np.float32)
-    lights.seen_lamps(p, d, t, np.full(n, DIFFUSE, np.uint8), nor, trans, bsdf_pdf, value)
+    lights.seen_lamps(p, d, np.zeros(n), t, np.full(n, DIFFUSE, np.uint8), nor, trans, bsdf_pdf, value)
     hit = index >= 0
     emitters = lights.arrays.emitters
     if hit.any():

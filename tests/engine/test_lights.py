@@ -274,14 +274,16 @@ def test_world_and_lamps_hide_from_what_may_not_see_them():
     for bit, seen in ((CAMERA, True), (GLOSSY, False), (DIFFUSE, True)):
         out = np.zeros((1, 3), np.float32)
         lights.seen_lamps(
-            p, up, np.array([9.0]), np.array([bit], np.uint8), nor, trans, np.array([np.inf]), out
-        )
+            p, up, np.zeros(1), np.array([9.0]), np.array([bit], np.uint8), nor, trans, np.array([np.inf]), out,
+        )  # fmt: skip
         assert (out[0, 0] > 0.0) == seen
-    out = np.zeros((1, 3), np.float32)
-    lights.seen_lamps(
-        p, up, np.array([1.4]), np.array([CAMERA], np.uint8), nor, trans, np.array([np.inf]), out
-    )
-    assert out.max() == 0.0  # something stands before it
+    for begins, ends in ((0.0, 1.4), (1.6, 9.0)):  # something stands before it; it was passed already
+        out = np.zeros((1, 3), np.float32)
+        lights.seen_lamps(
+            p, up, np.array([begins]), np.array([ends]), np.array([CAMERA], np.uint8), nor, trans,
+            np.array([np.inf]), out,
+        )  # fmt: skip
+        assert out.max() == 0.0
     sample = sampled(lights, (0.0, 0.0, 0.0), n=256)
     assert set(np.unique(sample.visibility[sample.kind == LAMP])) == {VISIBLE & ~GLOSSY}
 

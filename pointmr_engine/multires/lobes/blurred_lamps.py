@@ -31,18 +31,23 @@ def _add(lamps, lamp, wo, share, out, towards, k):
 
 
 @device
-def _look(lamps, lamp, origin, axis, reach, narrow, u, v, out, towards, k):
-    """Add what LOOKS pairs of samples find of a lamp; narrow: 1 - cos of half an angle."""
+def _look(lamps, lamp, origin, axis, nearest, reach, narrow, u, v, out, towards, k):
+    """Add what LOOKS pairs of samples find of a lamp between nearest and reach; narrow: 1 - cos of half an angle."""
     x, y, z = origin
     own = 1.0 / (2.0 * math.pi * narrow)
     for _ in range(LOOKS):
         dx, dy, dz, t, pdf, scale = sample_lamp(lamps, lamp, x, y, z, *_EVERYWHERE, True, u, v)
-        if pdf > 0.0 and (t < reach or reach == math.inf) and 1.0 - dot(axis, (dx, dy, dz)) <= narrow:
+        if (
+            pdf > 0.0
+            and t > nearest
+            and (t < reach or reach == math.inf)
+            and 1.0 - dot(axis, (dx, dy, dz)) <= narrow
+        ):
             _add(lamps, lamp, (dx, dy, dz), scale * own / (own + pdf) / LOOKS, out, towards, k)
         u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
         dx, dy, dz, _ = uniform_cone(*axis, narrow, u, v)
         t = intersect_lamp(lamps, lamp, x, y, z, dx, dy, dz)
-        if t > 0.0 and (t < reach or reach == math.inf):
+        if t > nearest and (t < reach or reach == math.inf):
             pdf, scale = lamp_pdf_scale(lamps, lamp, x, y, z, *_EVERYWHERE, True, dx, dy, dz, t)
             _add(lamps, lamp, (dx, dy, dz), scale * own / (own + pdf) / LOOKS, out, towards, k)
 
@@ -65,4 +70,4 @@ def blurred_lamps(lamps, met, rays, reach, paths, samples, tables, bounce, blur,
             seed = np.uint32(samples.seed[slot] ^ np.uint32(k))
             places = np.uint32(PLACES + 64 * bounce + (j & 63))
             u, v = sample_2d(tables, seed, places, samples.number[slot])
-            _look(lamps, lamp, origin, axis, reach[k], narrow, u, v, out, towards, k)
+            _look(lamps, lamp, origin, axis, rays.t_min[k], reach[k], narrow, u, v, out, towards, k)
