@@ -22,6 +22,7 @@ from pointmr_engine.forward.drawing.part_opacity import PartOpacity
 from pointmr_engine.hierarchy.geometry import compile_geometry
 from pointmr_engine.render import Cancelled
 from pointmr_engine.scene.graph import Graph, Link, Node
+from pointmr_engine.scene.group import CAMERA, VISIBLE
 from pointmr_engine.scene.mesh import Attribute
 from pointmr_engine.scene.settings import RaytraceSettings
 from pointmr_engine.scene.texture import Image
@@ -333,6 +334,49 @@ def test_what_is_half_clear_in_places_shines_as_much(opacity, scale):
     np.testing.assert_allclose(seen(material, "raytrace", 1, sun), exact, rtol=0.045)
     # one place of a pixel is asked there
     np.testing.assert_allclose(seen(material, "forward", 1, sun), exact, rtol=0.13)
+
+
+@pytest.mark.parametrize("cones", [1, 16])
+@pytest.mark.parametrize("scale", [3.0, 7.0])
+def test_what_is_faint_in_places_shines_there(scale, cones):
+    """A glow that a tenth of the surface has everywhere: where nothing else hides what is behind it is no hole."""
+    nodes = {
+        "place": Node("attribute", {}, {"name": "place"}),
+        "checks": Node("checker_texture", {"vector": Link("place", "vector"), "scale": scale}),
+        "clear": Node("transparent", {"color": (1.0, 1.0, 1.0)}),
+        "dark": Node("diffuse", {"color": (0.2, 0.2, 0.2)}),
+        "glow": Node("emission", {"color": (0.9, 0.6, 0.3), "strength": 1.5}),
+        "share": Node(
+            "math", {"value": Link("checks", "fac"), "value_b": 0.6}, {"operation": "MULTIPLY"}
+        ),
+        "holes": Node("mix_shader", {
+            "fac": Link("share", "value"), "shader": Link("clear", "bsdf"), "shader_b": Link("dark", "bsdf"),
+        }),
+        "mix": Node("mix_shader", {
+            "fac": 0.1, "shader": Link("holes", "shader"), "shader_b": Link("glow", "emission"),
+        }),
+    }  # fmt: skip
+    material = Material("faint glow", Graph(nodes, surface=Link("mix", "shader")), emission_sampling="none")
+    exact = seen(material, "distributed", 64)
+    found = seen(material, "raytrace", 1, raytrace=RaytraceSettings(cones=cones))
+    np.testing.assert_allclose(found, exact, rtol=0.05)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.1])
+@pytest.mark.parametrize("method", ["distributed", "raytrace"])
+def test_a_lamp_before_half_clear_panes_is_met_once(method, roughness):
+    """A mirror shows the lamp, and the rays go on through the panes behind it."""
+    mirror = principled("mirror", base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=roughness)
+    pane = principled("pane", base_color=(0.0, 0.0, 0.0), specular_ior_level=0.0, alpha=0.2)
+    lamp = Light("AREA", at(0.0, 0.0, 4.0), power=50.0, size_x=1.0, size_y=1.0, visibility=VISIBLE & ~CAMERA)
+
+    def brightness(panes: int) -> float:
+        sheets = [quad(3.0, 6.0 + k, pane) for k in range(panes)]
+        scene = Scene(Group("root", [quad(2.0, 0.0, mirror), *sheets]), from_above(5.0), [lamp], BLACK)
+        chosen = RenderSettings(32, 32, method=method, samples=64)
+        return render(scene, chosen).passes["combined"][12:20, 12:20, :3].mean()
+
+    assert brightness(3) == pytest.approx(brightness(0), rel=0.02)
 
 
 @pytest.mark.parametrize("glow", [False, True])

@@ -12,7 +12,7 @@ from pointmr_engine.numerics.hashing import hash_u32
 from pointmr_engine.numerics.jit import device, uncounted
 
 OPAQUE = 192  # of 255: from here on a sample counts as opaque ...
-SEEN = 32  # ... and below, as a hole, whose colour is anybody's guess
+HOLE = 32  # ... and below, as a hole, whose colour is anybody's guess (CutOuts.seen)
 BESIDE = 2  # cells that an outline is wide
 FAR = 128  # cells: farther from what is seen no fragment lies
 SURE = 0.75  # of a cell's opacity: a place in it that is less opaque lies in a hole between the samples
@@ -141,11 +141,11 @@ def nearest_as_opaque(cells, start, side, u, v, least, rings):
 
 
 @device
-def _beside_hole(cells, start, side, p, q):
+def _beside_hole(cells, start, side, seen, p, q):
     """Whether one of the cells about (p, q), BESIDE away at most, is a hole."""
     for j in range(max(q - BESIDE, 0), min(q + BESIDE, side - 1) + 1):
         for i in range(max(p - BESIDE, 0), min(p + BESIDE, side - 1 - j) + 1):
-            if cells[start + j * side + i] < SEEN:
+            if cells[start + j * side + i] < seen:
                 return True
     return False
 
@@ -161,19 +161,19 @@ def move_to_opaque(cut_outs, fragments, first, count):
         mask = holes_of(cut_outs, np.int64(fragments.part[k]), np.int64(fragments.triangle[k]))
         if mask < 0:
             continue
-        start, side = np.int64(cut_outs.start[mask]), np.int64(cut_outs.side[mask])
+        start, side, seen = np.int64(cut_outs.start[mask]), np.int64(cut_outs.side[mask]), cut_outs.seen[mask]
         u, v = np.float64(fragments.place[k, 0]), np.float64(fragments.place[k, 1])
         p, q = cell_of(u, v, side)
         if cells[start + q * side + p] >= OPAQUE:
             continue
         u, v = side * u, side * v  # in cells
-        moved = cells[start + q * side + p] < SEEN and cut_outs.most[mask] >= SEEN
+        moved = cells[start + q * side + p] < seen
         if moved:
-            p, q = nearest_as_opaque(cells, start, side, u, v, SEEN, FAR)
+            p, q = nearest_as_opaque(cells, start, side, u, v, seen, FAR)
             if p < 0:
                 continue
             u, v = p + 1.0 / 3.0, q + 1.0 / 3.0
-        if moved or _beside_hole(cells, start, side, p, q):
+        if moved or _beside_hole(cells, start, side, seen, p, q):
             i, j = nearest_as_opaque(cells, start, side, u, v, OPAQUE, BESIDE)
             if i >= 0:
                 moved, p, q = True, i, j
@@ -219,4 +219,4 @@ def let_through(cut_outs, fragments, first, count, out):
         if mask >= 0:
             u, v = np.float64(fragments.place[f, 0]), np.float64(fragments.place[f, 1])
             drawn = math.ceil(opacity_at(cut_outs, mask, u, v) * (DITHERED / 255.0) - 0.5)
-            out[k] = 1.0 - (drawn if drawn > 0 else SEEN * (DITHERED / 255.0)) / DITHERED
+            out[k] = 1.0 - (drawn if drawn > 0 else HOLE * (DITHERED / 255.0)) / DITHERED

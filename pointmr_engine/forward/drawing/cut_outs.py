@@ -19,6 +19,7 @@ from pointmr_engine.forward.baked.opacity_classes import Opacity, opacity_classe
 from pointmr_engine.forward.baked.opacity_lattice import batches, in_triangle, lattice
 from pointmr_engine.forward.drawing.cut_out_cover import (
     BESIDE,
+    HOLE,
     OPAQUE,
     move_to_opaque,
     move_to_samples,
@@ -40,6 +41,9 @@ NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose hol
 # differ, no more than SAMPLES allow
 FIRST = 24
 FEWEST = 3
+FAINT = (
+    0.1  # of a lattice's opacity: who has more in cells below HOLE is a faint surface there, and no outline
+)
 MUCH = 0.125  # of a triangle's cells: at outlines of leaves, what light passes is often brighter than what hides it
 _BRIGHTENED = np.uint8(round((1.0 - BRIGHTENED) * 255.0))  # opacity of what brightens what passes
 
@@ -53,7 +57,7 @@ class CutOuts(NamedTuple):
     mask: np.ndarray  # (K,) int32 row of `start` and `side`, -1: the triangle is opaque
     start: np.ndarray  # (M,) int64 place in `cells` of a lattice's first
     side: np.ndarray  # (M,) int64: R
-    most: np.ndarray  # (M,) uint8: the largest of a lattice
+    seen: np.ndarray  # (M,) uint8: the least of a lattice that is not a hole, whose colour is anybody's guess
     even: np.ndarray  # (M,) bool: a lattice is the same all over
     cells: np.ndarray  # uint8; 255: opaque
 
@@ -76,8 +80,10 @@ def even_cut_outs(first: np.ndarray, mask: np.ndarray, opacity: np.ndarray) -> C
     count, side, _ = opacity.shape
     start = np.arange(count, dtype=np.int64) * side**2
     cells = opacity.reshape(count, side**2)
-    most, even = cells.max(1, initial=0), (cells == cells[:, :1]).all(1)
-    return CutOuts(first, mask, start, np.full(count, side, np.int64), most, even, cells.reshape(-1))
+    even = (cells == cells[:, :1]).all(1)
+    faint = np.where(cells < HOLE, cells, 0).sum(1, dtype=np.int64) > FAINT * cells.sum(1, dtype=np.int64)
+    seen = np.where(faint, 1, HOLE).astype(np.uint8)
+    return CutOuts(first, mask, start, np.full(count, side, np.int64), seen, even, cells.reshape(-1))
 
 
 def lattices(cut_outs: CutOuts) -> np.ndarray:
