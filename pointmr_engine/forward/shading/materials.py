@@ -15,6 +15,7 @@ from pointmr_engine.forward.shading.fragment_surfaces import (
     place_values,
     surfel_frames,
 )
+from pointmr_engine.forward.shading.holes_in_footprints import holes_in_footprints
 from pointmr_engine.forward.shading.lobe_light import (
     NO_GAPS,
     NO_SHARES,
@@ -85,7 +86,12 @@ class FullShading:
             NO_EYES, n_, own.rays, own.hits, own.state.width,
         )  # fmt: skip
         if len(hierarchy.cut_outs.mask):
-            own.state.width[holed] *= NARROW
+            near = np.empty(len(holed), np.bool_)
+            holes_in_footprints(
+                hierarchy.cut_outs, self.shader.geometry.tables, own.hits, own.rays.direction, own.state.width, f,
+                first_, holed, near,
+            )  # fmt: skip
+            own.state.width[holed[near]] *= NARROW
         if values is not None:
             place_values(values, f, first_, n_, own.hits)
         frames(self.shader.geometry, own.rays, own.hits, own.frames, 0, n)

@@ -14,6 +14,7 @@ from pointmr_engine.forward.drawing.cut_out_cover import let_through
 from pointmr_engine.forward.drawing.cut_outs import NARROW, look_where_opaque
 from pointmr_engine.forward.reconstruction.fragments import cell_at
 from pointmr_engine.forward.shading.fragment_surfaces import place_fragments, place_values, surfel_frames
+from pointmr_engine.forward.shading.holes_in_footprints import holes_in_footprints
 from pointmr_engine.forward.shading.lobe_light import widen_by_normals
 from pointmr_engine.image.film import TileSums
 from pointmr_engine.multires.fragments.curvature import go_to_middles, spread_of_curvature
@@ -206,7 +207,13 @@ class FragmentPaths(Workspace):
         self.holed[:count] = False
         space.widen_footprints(first, now.state.width[:count])
         if len(hierarchy.cut_outs.mask):
-            masked = image.masked[material]
+            near = np.empty(len(holes), np.bool_)
+            holes_in_footprints(
+                hierarchy.cut_outs, self.stage.shader.geometry.tables, hits, now.rays.direction, now.state.width, f,
+                first_, holes, near,
+            )  # fmt: skip
+            holes = holes[near]
+            masked = image.masked[material[near]]
             now.state.width[holes[~masked]] *= NARROW
             self.holed[holes] = True
             self.masked = holes[masked]
