@@ -187,3 +187,34 @@ def test_bumps_keep_the_tails_of_their_gloss(anisotropy, distance):
         )
 
     assert light("raytrace") == pytest.approx(light("distributed"), rel=0.08)
+
+
+def test_a_hole_elsewhere_leaves_fine_bumps_as_they_are():
+    """Materials with holes are read at single places where these are, and averaged as others everywhere else."""
+
+    def light(holed: bool) -> float:
+        graph = bumpy(Node("glossy", {"roughness": 0.2}), scale=60.0, distance=0.05)
+        if holed:
+            graph.nodes |= {
+                "there": Node("geometry"),
+                "axes": Node("separate_xyz", {"vector": Link("there", "position")}),
+                "hole": Node(
+                    "math", {"value": Link("axes", "x"), "value_b": 25.0}, {"operation": "GREATER_THAN"}
+                ),
+                "clear": Node("transparent"),
+                "mix": Node(
+                    "mix_shader",
+                    {
+                        "fac": Link("hole", "value"),
+                        "shader": graph.surface,
+                        "shader_b": Link("clear", "bsdf"),
+                    },
+                ),
+            }
+            graph.surface = Link("mix", "shader")
+        ground = quad(100.0, material=Material("bumps", graph))
+        sun = Light("SUN", look((0, -math.sqrt(0.5), math.sqrt(0.5)), (0, 0, 0)), power=3.0)
+        scene = Scene(Group("root", [ground]), from_above(20.0), [sun], uniform_world(BLACK))
+        return render(scene, RenderSettings(48, 36, method="raytrace")).passes["combined"][..., 0].mean()
+
+    assert light(True) == pytest.approx(light(False), rel=0.02)
