@@ -37,12 +37,8 @@ def _look(lamps, lamp, origin, axis, nearest, reach, narrow, u, v, out, towards,
     own = 1.0 / (2.0 * math.pi * narrow)
     for _ in range(LOOKS):
         dx, dy, dz, t, pdf, scale = sample_lamp(lamps, lamp, x, y, z, *_EVERYWHERE, True, u, v)
-        if (
-            pdf > 0.0
-            and t > nearest
-            and (t < reach or reach == math.inf)
-            and 1.0 - dot(axis, (dx, dy, dz)) <= narrow
-        ):
+        met = pdf > 0.0 and t > nearest and (t < reach or reach == math.inf)
+        if met and 1.0 - dot(axis, (dx, dy, dz)) <= narrow:
             _add(lamps, lamp, (dx, dy, dz), scale * own / (own + pdf) / LOOKS, out, towards, k)
         u, v = (u + R2[0]) % 1.0, (v + R2[1]) % 1.0
         dx, dy, dz, _ = uniform_cone(*axis, narrow, u, v)
