@@ -41,9 +41,7 @@ NARROW = np.float32(0.05)  # of a footprint: what is read of materials whose hol
 # differ, no more than SAMPLES allow
 FIRST = 24
 FEWEST = 3
-FAINT = (
-    0.1  # of a lattice's opacity: with more of it in cells below HOLE, these are surfaces, and no outlines
-)
+FAINT = 0.1  # of a lattice's opacity: with more of it in cells below HOLE, these are surfaces
 MUCH = 0.125  # of a triangle's cells: at outlines of leaves, what light passes is often brighter than what hides it
 _BRIGHTENED = np.uint8(round((1.0 - BRIGHTENED) * 255.0))  # opacity of what brightens what passes
 
