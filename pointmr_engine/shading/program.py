@@ -81,7 +81,10 @@ class Plan:
             key = axis, width, not step.params.get("raised", False)
             if key not in displaced:
                 offset = axes_at(points)[axis] * (points.footprint * width)[:, None]
-                displaced[key] = moved_points(points, offset, self._needs_moved, bump=key[2])
+                there = moved_points(points, offset, self._needs_moved, bump=key[2])
+                # beneath one normal, as in Cycles: how the surface itself bends makes no bumps
+                there.normal, there.smooth_normal = points.normal, points.smooth_normal
+                displaced[key] = there
             return read(source, self.sub[index, name].run(displaced[key]))
 
         return moved
