@@ -236,6 +236,34 @@ def test_bump_tilts_against_the_slope():
         assert normal == pytest.approx(np.tile([-0.5, 0, 1] / np.sqrt(1.25), (4, 1)), abs=1e-3)
 
 
+def test_heights_are_differenced_beneath_one_normal():
+    """A height that reads the normal of a bent surface makes no bump, as in Cycles."""
+    nodes = {
+        "p": Node("texture_coordinate"),
+        "x": Node("separate_xyz", {"vector": Link("p", "normal")}),
+        "bump": Node("bump", {"height": Link("x", "x"), "distance": 0.5}),
+        "b": Node("diffuse", {"normal": Link("bump", "normal")}),
+    }
+    program = compile_graph(Graph(nodes, surface=Link("b", "bsdf")))
+    up = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
+
+    def moved(offset, *_):
+        bent = up + np.float32(offset)
+        bent /= np.linalg.norm(bent, axis=1)[:, None]
+        return SurfacePoints(4, offset.copy(), normal=bent, smooth_normal=bent, geometric_normal=up)
+
+    p = SurfacePoints(
+        4,
+        position=np.zeros((4, 3)),
+        normal=up,
+        smooth_normal=up,
+        geometric_normal=up,
+        footprint=np.full(4, 1e-2, np.float32),
+        moved=moved,
+    )
+    assert program.evaluate(p)[0].normal == pytest.approx(up, abs=1e-6)
+
+
 def test_displacement_bends_every_normal():
     nodes = {
         "p": Node("texture_coordinate"),
