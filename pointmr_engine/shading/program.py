@@ -30,6 +30,7 @@ OF_INSTANCE = frozenset(
 # what the place tells that a part is put to, and, where nothing is read of the ray that normals turn with
 OF_PLACEMENT = OF_INSTANCE | {"position", "world_from_part"}
 OF_ROTATION = frozenset({"normal", "smooth_normal", "geometric_normal"})
+_NORMALS = frozenset({"normal", "smooth_normal"})
 BLUNT = 0.45  # roughness from which lobes are wider than what most bumps would make of them
 
 
@@ -63,7 +64,7 @@ class Plan:
     def run(self, points: SurfacePoints) -> dict[tuple[int, str], np.ndarray]:
         """Values of all wanted outputs, each node evaluated once."""
         memo: dict[tuple[int, str], np.ndarray] = {}
-        displaced: dict[tuple[int, float, bool], SurfacePoints] = {}
+        displaced: dict[tuple[int, float, bool, bool], SurfacePoints] = {}
         for index, step, wanted in self.steps:
             ignored = step.type.ignores(step.params, wanted)
             inputs = {name: read(s, memo) for name, s in step.inputs.items() if name not in ignored}
@@ -74,17 +75,17 @@ class Plan:
         return memo
 
     def _mover(self, index: int, step: Step, points: SurfacePoints, displaced: dict):
-        def moved(name: str, axis: int, width: float) -> np.ndarray:
+        def moved(name: str, axis: int, width: float, one_normal: bool = False) -> np.ndarray:
             source = step.inputs[name]
             if (index, name) not in self.sub:
                 return read(source, {})
-            key = axis, width, not step.params.get("raised", False)
+            key = axis, width, not step.params.get("raised", False), one_normal
             if key not in displaced:
                 offset = axes_at(points)[axis] * (points.footprint * width)[:, None]
-                there = moved_points(points, offset, self._needs_moved, bump=key[2])
-                # beneath one normal, as in Cycles: how the surface itself bends makes no bumps
-                there.normal, there.smooth_normal = points.normal, points.smooth_normal
-                displaced[key] = there
+                needs = self._needs_moved - _NORMALS if one_normal else self._needs_moved
+                displaced[key] = there = moved_points(points, offset, needs, bump=key[2])
+                if one_normal:
+                    there.normal, there.smooth_normal = points.normal, points.smooth_normal
             return read(source, self.sub[index, name].run(displaced[key]))
 
         return moved

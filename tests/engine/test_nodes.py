@@ -1,10 +1,13 @@
 """The compiler and evaluator of node graphs: folding, flattening, needs, what varies with what."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pointmr_engine.scene.graph import Graph, Link, Node
 from pointmr_engine.scene.material import emission, principled
+from pointmr_engine.scene.texture import Image
 from pointmr_engine.scene.world import uniform_world
 from pointmr_engine.shading import leaves as L
 from pointmr_engine.shading.points import RAY_CAMERA, RAY_SHADOW, SurfacePoints
@@ -213,15 +216,41 @@ def test_nan_never_leaves_a_program():
     assert np.isfinite(program.evaluate(points())[0].block).all()
 
 
-def test_bump_tilts_against_the_slope():
-    """A height that grows along x leans the normal to -x, whatever the footprint."""
+def on_a_ball(footprint):
+    """Four points at the top of a ball of radius 1."""
+    up = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
+
+    def moved(offset, *_):
+        bent = up + np.float32(offset)
+        bent /= np.linalg.norm(bent, axis=1)[:, None]
+        return replace(points, position=offset.copy(), normal=bent, smooth_normal=bent)
+
+    points = SurfacePoints(
+        4,
+        position=np.zeros((4, 3)),
+        normal=up,
+        smooth_normal=up,
+        geometric_normal=up,
+        footprint=np.full(4, footprint, np.float32),
+        moved=moved,
+    )
+    return points
+
+
+def as_high_as_x_of(coordinate):
+    """A bumped material's program."""
     nodes = {
         "p": Node("texture_coordinate"),
-        "x": Node("separate_xyz", {"vector": Link("p", "object")}),
+        "x": Node("separate_xyz", {"vector": Link("p", coordinate)}),
         "bump": Node("bump", {"height": Link("x", "x"), "distance": 0.5}),
         "b": Node("diffuse", {"normal": Link("bump", "normal")}),
     }
-    program = compile_graph(Graph(nodes, surface=Link("b", "bsdf")))
+    return compile_graph(Graph(nodes, surface=Link("b", "bsdf")))
+
+
+def test_bump_tilts_against_the_slope():
+    """A height that grows along x leans the normal to -x, whatever the footprint."""
+    program = as_high_as_x_of("object")
     up = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
     for width in (1e-4, 1e-2):
         p = SurfacePoints(
@@ -238,30 +267,24 @@ def test_bump_tilts_against_the_slope():
 
 def test_heights_are_differenced_beneath_one_normal():
     """A height that reads the normal of a bent surface makes no bump, as in Cycles."""
+    normal = as_high_as_x_of("normal").evaluate(on_a_ball(1e-2))[0].normal
+    assert normal == pytest.approx(np.tile([0, 0, 1], (4, 1)), abs=1e-6)
+
+
+def test_images_by_normals_are_filtered_as_the_surface_bends():
+    """A ball's highlight painted as an image: black and white texels, many in a footprint."""
+    pixels = np.ones((64, 64, 4), np.float32)
+    pixels[::2, ::2, :3] = pixels[1::2, 1::2, :3] = 0
+    image = Image("checks", pixels, colorspace="Linear")
     nodes = {
         "p": Node("texture_coordinate"),
-        "x": Node("separate_xyz", {"vector": Link("p", "normal")}),
-        "bump": Node("bump", {"height": Link("x", "x"), "distance": 0.5}),
-        "b": Node("diffuse", {"normal": Link("bump", "normal")}),
+        "m": Node("mapping", {"vector": Link("p", "normal"), "location": (0.5 / 64, 0.5 / 64, 0.0)}),
+        "i": Node("image_texture", {"vector": Link("m", "vector")}, {"image": image}),
+        "b": Node("diffuse", {"color": Link("i", "color")}),
     }
     program = compile_graph(Graph(nodes, surface=Link("b", "bsdf")))
-    up = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
-
-    def moved(offset, *_):
-        bent = up + np.float32(offset)
-        bent /= np.linalg.norm(bent, axis=1)[:, None]
-        return SurfacePoints(4, offset.copy(), normal=bent, smooth_normal=bent, geometric_normal=up)
-
-    p = SurfacePoints(
-        4,
-        position=np.zeros((4, 3)),
-        normal=up,
-        smooth_normal=up,
-        geometric_normal=up,
-        footprint=np.full(4, 1e-2, np.float32),
-        moved=moved,
-    )
-    assert program.evaluate(p)[0].normal == pytest.approx(up, abs=1e-6)
+    (leaf,) = program.evaluate(on_a_ball(0.2))
+    assert column(leaf, "color_r") == pytest.approx(0.5, abs=0.05)
 
 
 def test_displacement_bends_every_normal():

@@ -26,7 +26,8 @@ from pointmr_engine.shading.values import cross, dot, normalize
 def _bump(c: Call) -> np.ndarray:
     """params: invert; raised, as of scene.graph.Graph.
 
-    The height's gradient is taken over filter_width times the width of a pixel, as in Cycles.
+    The height's gradient is taken over filter_width times the width of a pixel and beneath one normal, as in Cycles:
+    how the surface itself bends makes no bumps.
     """
     normal = c["normal"]
     # one width for the batch: it is a constant of the node in practice, and the moved points are shared by it
@@ -34,8 +35,8 @@ def _bump(c: Call) -> np.ndarray:
     size = c.points.footprint[:, None]
     dx, dy = (axis * size for axis in axes_at(c.points))
     center = c["height"]
-    slope_x = (c.moved("height", 0, width) - center)[:, None]
-    slope_y = (c.moved("height", 1, width) - center)[:, None]
+    slope_x = (c.moved("height", 0, width, one_normal=True) - center)[:, None]
+    slope_y = (c.moved("height", 1, width, one_normal=True) - center)[:, None]
     rx, ry = cross(dy, normal), cross(normal, dx)
     determinant = dot(dx, rx)[:, None]
     scale = c.vector("distance") * (-1 if c.params.get("invert") else 1)

@@ -34,13 +34,15 @@ class Call:
         params: dict[str, Any],
         points: SurfacePoints | None,
         wanted: frozenset[str],
-        moved: Callable[[str, np.ndarray], np.ndarray] | None = None,
+        moved: Callable[..., np.ndarray] | None = None,
     ) -> None:
         self.inputs = inputs
         self.params = params
         self.points = points
         self.wanted = wanted  # names of the outputs that somebody reads
-        self.moved = moved  # moved(input, offset): the input's value at points moved by offset (N, 3)
+        # moved(input, axis, width): the input's value at points moved along axis 0 or 1 by so many footprints;
+        # one_normal=True: beneath the normals of the points themselves
+        self.moved = moved
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.inputs[name]
